@@ -1,0 +1,29 @@
+"""Errors of squeal_rig. Each message is one sentence: what, the value, the bound, the unit."""
+
+
+class SquealRigError(Exception):
+    """Base of every error that a user can cause; the command line prints its message and exits with code 2."""
+
+
+class ParameterError(SquealRigError):
+    """A parameter is unknown, of the wrong type, not finite or out of its bounds."""
+
+
+class ConfigurationError(SquealRigError):
+    """A file of ours (parameters, plan, preset) is missing or cannot be read."""
+
+
+class ModelError(SquealRigError):
+    """The model has no answer: no equilibrium in contact, or a trajectory that left every bound."""
+
+
+class RecordingError(SquealRigError):
+    """A bag cannot be written or read."""
+
+
+class DriverError(SquealRigError):
+    """A driver of the rig failed or cannot do what it was asked."""
+
+
+class ExperimentError(SquealRigError):
+    """A plan cannot be run, or a step of it did not reach its condition in time."""

@@ -1,0 +1,238 @@
+"""Critical pad stiffness: where the linear model, Eqs. (3.1), (3.2), loses its stability.
+
+At a fixed ratio k1/k2 every entry of K is linear in the mean arm stiffness k, so each boundary is a root of a quadratic:
+- undamped flutter, complex eigenvalues of K: (K11 - K22)^2/4 + K12 K21 < 0;
+- damped flutter, the Hurwitz determinant of the characteristic polynomial: a1 a2 a3 - a3^2 - a1^2 a4 < 0;
+- divergence: det K < 0.
+Only friction that sees the slip speed adds a damping that depends on k through N; then the boundary is searched for on
+the largest real part itself.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import polynomial as poly
+from numpy.typing import NDArray
+
+from squeal_rig.model.eigen import (
+    Eigenvalues,
+    damping_ratio,
+    eigenvalues,
+    is_unstable,
+    leading,
+    squeal_frequency,
+)
+from squeal_rig.model.friction import force_ratio, force_ratio_slope
+from squeal_rig.model.parameters import RigParameters
+
+Coefficients = NDArray[np.float64]
+Entries = tuple[Coefficients, Coefficients, Coefficients, Coefficients]
+Band = tuple[float, float]
+NO_BAND: Band = (math.nan, math.nan)
+
+# Below this K_ab/k is rounding (mirrored arms): there is no mode coupling (docs/physics.md, section 2).
+_NO_COUPLING = 1e-12
+_SCAN_POINTS = 400
+_BISECTIONS = 100
+
+
+def stability_band(p: RigParameters) -> Band:
+    """Bounds [N/m] of the lowest unstable range of (k1 + k2)/2, at the ratio k1/k2 of `p`; from the linear model.
+
+    Returns (nan, nan) where there is none, and an upper bound of inf where stability never returns.
+    """
+    if force_ratio_slope(p) != 0.0:
+        return _scanned_band(p)
+    entries = _stiffness_polynomials(p)
+    flutter = _damped_flutter(p, entries) if p.damping_x or p.damping_y else _undamped_flutter(entries)
+    bands = [band for band in (flutter, _negative_range(_determinant(entries))) if band is not None]
+    confirmed = sorted(band for band in bands if _unstable_at(p, _inside(*band)))
+    if not confirmed:
+        return NO_BAND
+    lower, upper = confirmed[0]
+    for other_lower, other_upper in confirmed[1:]:
+        if other_lower <= upper:
+            upper = max(upper, other_upper)
+    return lower, upper
+
+
+def critical_pad_stiffness(p: RigParameters) -> float:
+    """Critical pad stiffness k_cr [N/m], the lower bound of `stability_band`; nan where no stiffness is unstable."""
+    return stability_band(p)[0]
+
+
+@dataclass(frozen=True)
+class StabilityReport:
+    """Complex eigenvalue analysis of one set of parameters. Stiffness in N/m, rates in 1/s, frequency in Hz."""
+
+    eigenvalues: Eigenvalues
+    unstable: bool
+    growth_rate: float
+    damping_ratio: float
+    squeal_frequency: float
+    pad_stiffness: float
+    critical_pad_stiffness: float
+    upper_pad_stiffness: float
+    margin: float
+
+
+def stability_report(p: RigParameters) -> StabilityReport:
+    """Eigenvalues at the exact equilibrium, beside the stability band of the linear model.
+
+    The margin is (k_cr - k)/k_cr with k = (k1 + k2)/2; nan where there is no k_cr. Growth rate is the largest Re lambda.
+
+    Raises:
+        ModelError: the exact equilibrium does not exist.
+    """
+    values = eigenvalues(p)
+    lower, upper = stability_band(p)
+    value = leading(values)
+    k = 0.5 * (p.k1 + p.k2)
+    return StabilityReport(
+        eigenvalues=values,
+        unstable=is_unstable(values),
+        growth_rate=value.real,
+        damping_ratio=damping_ratio(value),
+        squeal_frequency=squeal_frequency(values),
+        pad_stiffness=k,
+        critical_pad_stiffness=lower,
+        upper_pad_stiffness=upper,
+        margin=(lower - k) / lower if lower > 0.0 else math.nan,
+    )
+
+
+def _shares(p: RigParameters) -> tuple[float, float]:
+    """k1/k and k2/k with k = (k1 + k2)/2; equal arms where both are zero."""
+    total = p.k1 + p.k2
+    return (2.0 * p.k1 / total, 2.0 * p.k2 / total) if total > 0.0 else (1.0, 1.0)
+
+
+def _with_mean_stiffness(p: RigParameters, k: float) -> RigParameters:
+    share_1, share_2 = _shares(p)
+    return p.replace(k1=share_1 * k, k2=share_2 * k)
+
+
+def _stiffness_polynomials(p: RigParameters) -> Entries:
+    """K11, K12, K21, K22 as polynomials (constant, slope) in k, Eq. (3.2) for any angles."""
+    share_1, share_2 = _shares(p)
+    s1, c1 = math.sin(p.arm_angle_1), math.cos(p.arm_angle_1)
+    s2, c2 = math.sin(p.arm_angle_2), math.cos(p.arm_angle_2)
+    aa = share_1 * c1 * c1 + share_2 * c2 * c2
+    ab = share_1 * s1 * c1 + share_2 * s2 * c2
+    bb = share_1 * s1 * s1 + share_2 * s2 * s2
+    if abs(ab) < _NO_COUPLING:
+        ab = 0.0
+    mu = force_ratio(p)
+    k_c = p.contact_stiffness
+    return np.array([p.k3 + p.k4, aa]), np.array([mu * k_c, ab]), np.array([0.0, ab]), np.array([k_c, bb])
+
+
+def _determinant(entries: Entries) -> Coefficients:
+    k11, k12, k21, k22 = entries
+    determinant: Coefficients = poly.polysub(poly.polymul(k11, k22), poly.polymul(k12, k21))
+    return determinant
+
+
+def _undamped_flutter(entries: Entries) -> Band | None:
+    """Range of k with complex eigenvalues of K.
+
+    With kappa = -K_ab/k, C2 = (K_aa - K_bb)/k, delta = k_c - k3 - k4 the boundary is
+    (C2^2/4 + kappa^2) k^2 - (delta C2/2 + kappa mu k_c) k + delta^2/4 = 0. Its discriminant is taken in the form
+    kappa (kappa mu^2 k_c^2 + delta C2 mu k_c - kappa delta^2): the textbook form is pure rounding at kappa = 0.
+    """
+    k11, k12, k21, k22 = entries
+    kappa, c2 = -k21[1], k11[1] - k22[1]
+    delta, mu_kc = k22[0] - k11[0], k12[0]
+    linear = 0.5 * delta * c2 + kappa * mu_kc
+    discriminant = kappa * (kappa * mu_kc**2 + delta * c2 * mu_kc - kappa * delta**2)
+    if not (kappa > 0.0 and linear > 0.0 and discriminant > 0.0):
+        return None
+    q = 0.5 * (linear + math.sqrt(discriminant))
+    return float(0.25 * delta**2 / q), float(q / (0.25 * c2**2 + kappa**2))
+
+
+def _damped_flutter(p: RigParameters, entries: Entries) -> Band | None:
+    """Range of k where the Hurwitz determinant of the damped characteristic polynomial is negative."""
+    k11, _, _, k22 = entries
+    m, c_x, c_y = p.mass, p.damping_x, p.damping_y
+    a1 = (c_x + c_y) / m
+    a2 = poly.polyadd((k11 + k22) / m, [c_x * c_y / m**2])
+    a3 = (c_x * k22 + c_y * k11) / m**2
+    a4 = _determinant(entries) / m**2
+    hurwitz = poly.polysub(a1 * poly.polymul(a2, a3), poly.polyadd(poly.polymul(a3, a3), a1**2 * a4))
+    return _negative_range(hurwitz)
+
+
+def _negative_range(coefficients: Coefficients) -> Band | None:
+    """Lowest range of k >= 0 in which a quadratic (or lower) polynomial is negative; None where there is none."""
+    c, b, a = np.concatenate([coefficients, np.zeros(3)])[:3]
+    roots = sorted(root for root in _real_roots(float(a), float(b), float(c)) if root > 0.0)
+    edges = [0.0, *roots, math.inf]
+    for lower, upper in zip(edges, edges[1:]):
+        k = _inside(lower, upper)
+        if (a * k + b) * k + c < 0.0:
+            return lower, upper
+    return None
+
+
+def _real_roots(a: float, b: float, c: float) -> list[float]:
+    """Real roots of a k^2 + b k + c, without cancellation."""
+    if a == 0.0:
+        return [-c / b] if b != 0.0 else []
+    discriminant = b * b - 4.0 * a * c
+    if discriminant <= 0.0:
+        return []
+    q = -0.5 * (b + math.copysign(math.sqrt(discriminant), b))
+    return [q / a, c / q] if q != 0.0 else [0.0]
+
+
+def _inside(lower: float, upper: float) -> float:
+    """A point inside a range, away from its ends."""
+    if math.isinf(upper):
+        return 2.0 * lower if lower > 0.0 else 1.0
+    return 0.5 * (lower + upper)
+
+
+def _unstable_at(p: RigParameters, k: float) -> bool:
+    return _growth(p, k) > 0.0
+
+
+def _growth(p: RigParameters, k: float) -> float:
+    """Largest Re(lambda)/|lambda| of the linear model at mean stiffness k, less the share that is rounding."""
+    bound = max(k * share for share in _shares(p))
+    if bound > 1e10:  # beyond the parameters' own bound nothing can be asked of the rig
+        return -1.0
+    values = eigenvalues(_with_mean_stiffness(p, k), linear=True)
+    return float(np.max(values.real / np.maximum(np.abs(values), np.finfo(float).tiny))) - 1e-6
+
+
+def _scanned_band(p: RigParameters) -> Band:
+    """The lowest unstable range by a scan of the largest real part over k and bisection of its edges."""
+    top = 1e10 / max(_shares(p))
+    grid = np.concatenate([[0.0], np.geomspace(1e-4 * p.contact_stiffness, top, _SCAN_POINTS)])
+    unstable = np.array([_unstable_at(p, float(k)) for k in grid])
+    if not unstable.any():
+        return NO_BAND
+    first = int(np.argmax(unstable))
+    stable_again = np.flatnonzero(~unstable[first:])
+    lower = 0.0 if first == 0 else _bisected(p, float(grid[first - 1]), float(grid[first]))
+    if stable_again.size == 0:
+        return lower, math.inf
+    last = first + int(stable_again[0])
+    return lower, _bisected(p, float(grid[last]), float(grid[last - 1]))
+
+
+def _bisected(p: RigParameters, stable: float, unstable: float) -> float:
+    """The edge between a stable and an unstable stiffness, to rounding."""
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (stable + unstable)
+        if middle in (stable, unstable):
+            break
+        if _unstable_at(p, middle):
+            unstable = middle
+        else:
+            stable = middle
+    return 0.5 * (stable + unstable)
