@@ -11,7 +11,6 @@ import math
 import numbers
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from functools import cache
 from typing import Any, TypeVar
 
 from squeal_rig.errors import ParameterError
@@ -57,13 +56,17 @@ def quantity(default: float | int | bool | str, description: str, **details: Any
     return dataclasses.field(default=default, metadata={_METADATA_KEY: declaration})
 
 
-@cache
+_known: dict[type[Any], dict[str, Declaration]] = {}
+
+
 def declarations(declared: type[Any]) -> dict[str, Declaration]:
     """Name -> declaration of every field of a declared dataclass, in order."""
-    return {
-        field.name: dataclasses.replace(field.metadata[_METADATA_KEY], name=field.name)
-        for field in fields(declared)
-    }
+    if declared not in _known:
+        _known[declared] = {
+            field.name: dataclasses.replace(field.metadata[_METADATA_KEY], name=field.name)
+            for field in fields(declared)
+        }
+    return _known[declared]
 
 
 def checked(declaration: Declaration, value: object) -> Any:

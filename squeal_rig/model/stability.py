@@ -132,8 +132,7 @@ def _stiffness_polynomials(p: RigParameters) -> Entries:
 
 def _determinant(entries: Entries) -> Coefficients:
     k11, k12, k21, k22 = entries
-    determinant: Coefficients = poly.polysub(poly.polymul(k11, k22), poly.polymul(k12, k21))
-    return determinant
+    return np.asarray(poly.polysub(poly.polymul(k11, k22), poly.polymul(k12, k21)), dtype=np.float64)
 
 
 def _undamped_flutter(entries: Entries) -> Band | None:

@@ -72,7 +72,7 @@ class Motion:
             1, math.ceil(self._interval / (DEFAULT_STEP if step is None else step) * (1.0 - 1e-12))
         )
         self.parameters = p
-        self._state = resting_state(p) if state is None else _checked_state(state)
+        self._state: Vector = resting_state(p) if state is None else _checked_state(state)
         self._packed = pack(p)
 
     @property
