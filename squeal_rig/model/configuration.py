@@ -47,6 +47,10 @@ def parse_yaml(text: str, source: str) -> Any:
         where = f", line {mark.line + 1}" if mark is not None else ""
         problem = getattr(error, "problem", None) or str(error).splitlines()[0]
         raise ConfigurationError(f"{source}{where}: not valid YAML: {problem}") from error
+    except (ValueError, LookupError) as error:  # the reader's own slips: `2020-99-99`, `!!float x`
+        raise ConfigurationError(f"{source}: not valid YAML: {error}") from error
+    except RecursionError as error:
+        raise ConfigurationError(f"{source}: not valid YAML: nested too deeply") from error
 
 
 def load_yaml(path: Path | str) -> Any:

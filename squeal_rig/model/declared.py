@@ -21,9 +21,9 @@ _METADATA_KEY = "declaration"
 
 @dataclass(frozen=True)
 class Declaration:
-    """What is known of one parameter. `kind` is float, int, bool or str; bounds are inclusive, in `unit`."""
+    """What is known of one parameter. `kind` is float, int, bool, str or tuple (a list of texts); bounds are inclusive, in `unit`."""
 
-    default: float | int | bool | str
+    default: float | int | bool | str | tuple[str, ...]
     description: str
     unit: str = ""
     lower: float = -math.inf
@@ -50,7 +50,7 @@ class Declaration:
         return f"{self.lower:g} to {self.upper:g}{unit}"
 
 
-def quantity(default: float | int | bool | str, description: str, **details: Any) -> Any:
+def quantity(default: float | int | bool | str | tuple[str, ...], description: str, **details: Any) -> Any:
     """A dataclass field that carries its `Declaration`; `details` are the declaration's other attributes."""
     declaration = Declaration(default, description, **details)
     return dataclasses.field(default=default, metadata={_METADATA_KEY: declaration})
@@ -81,6 +81,10 @@ def checked(declaration: Declaration, value: object) -> Any:
         if not isinstance(value, bool):
             raise ParameterError(f"{name} = {value!r} is not a truth value: write true or false")
         return value
+    if kind is tuple:
+        if not isinstance(value, list | tuple) or not all(isinstance(item, str) for item in value):
+            raise ParameterError(f"{name} = {value!r} is not a list of texts")
+        return tuple(value)
     if kind is str:
         if not isinstance(value, str):
             raise ParameterError(f"{name} = {value!r} is not a text")

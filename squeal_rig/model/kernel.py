@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
+from pathlib import Path
 from typing import TypeVar, cast
 
 import numba
 
 F = TypeVar("F", bound=Callable[..., object])
+
+#: Source files each kernel is compiled from, by the identity of the compiled function.
+_sources: dict[int, frozenset[str]] = {}
 
 
 def kernel(function: F) -> F:
@@ -15,4 +20,18 @@ def kernel(function: F) -> F:
 
     `error_model="numpy"` keeps a division by zero an inf for the caller's status code, as in numpy.
     """
-    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+    # numba compiles the kernels called into the caller, yet asks only the caller's own file whether cached
+    # code is still valid. The digest files code made from other sources under another name.
+    named = (function.__globals__.get(name) for name in function.__code__.co_names)
+    own = frozenset({function.__code__.co_filename})
+    sources = own.union(*(_sources.get(id(value), own) for value in named))
+    if sources != own:
+        function.__qualname__ += f"-{_digest(sources)}"
+    compiled = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+    _sources[id(compiled)] = sources
+    return cast(F, compiled)
+
+
+def _digest(sources: frozenset[str]) -> str:
+    contents = sorted(hashlib.sha256(Path(source).read_bytes()).digest() for source in sources)
+    return hashlib.sha256(b"".join(contents)).hexdigest()[:12]

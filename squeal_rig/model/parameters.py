@@ -139,11 +139,10 @@ class RigParameters(Declared):
                 f"{path}: expected a mapping of parameter names to values, got {content!r}"
             )
         values: dict[str, object] = dict(content)
-        preset = values.pop("preset", None)
         try:
-            base = cls.preset(str(preset)) if preset is not None else None
+            base = cls.preset(str(values.pop("preset"))) if "preset" in values else None
             return cls.from_mapping(values, base)
-        except ParameterError as error:
+        except (ConfigurationError, ParameterError) as error:
             raise type(error)(f"{path}: {error}") from None
 
     def to_yaml(self, path: Path | str) -> None:

@@ -4,8 +4,8 @@ At a fixed ratio k1/k2 every entry of K is linear in the mean arm stiffness k, s
 - undamped flutter, complex eigenvalues of K: (K11 - K22)^2/4 + K12 K21 < 0;
 - damped flutter, the Hurwitz determinant of the characteristic polynomial: a1 a2 a3 - a3^2 - a1^2 a4 < 0;
 - divergence: det K < 0.
-Only friction that sees the slip speed adds a damping that depends on k through N; then the boundary is searched for on
-the largest real part itself.
+Friction that sees the slip speed adds a damping that depends on k through N; with it, and with damping of one
+direction alone, the boundary is searched for on the largest real part itself.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.polynomial import polynomial as poly
 from numpy.typing import NDArray
 
+from squeal_rig.model.declared import declarations
 from squeal_rig.model.eigen import (
     Eigenvalues,
     damping_ratio,
@@ -35,7 +36,10 @@ NO_BAND: Band = (math.nan, math.nan)
 
 # Below this K_ab/k is rounding (mirrored arms): there is no mode coupling (docs/physics.md, section 2).
 _NO_COUPLING = 1e-12
+# Where in a range growth is looked for; weak coupling alone can hide it below the tolerance at some of them.
+_PROBES = (0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99)
 _SCAN_POINTS = 400
+_FLUTTER_POINTS = 9
 _BISECTIONS = 100
 
 
@@ -44,12 +48,14 @@ def stability_band(p: RigParameters) -> Band:
 
     Returns (nan, nan) where there is none, and an upper bound of inf where stability never returns.
     """
-    if force_ratio_slope(p) != 0.0:
+    # Damping of one direction alone, which slip-dependent friction is as well, makes growth begin below the
+    # tolerance of `is_unstable`: no root tells where it passes that.
+    if force_ratio_slope(p) != 0.0 or (p.damping_x == 0.0) != (p.damping_y == 0.0):
         return _scanned_band(p)
     entries = _stiffness_polynomials(p)
-    flutter = _damped_flutter(p, entries) if p.damping_x or p.damping_y else _undamped_flutter(entries)
-    bands = [band for band in (flutter, _negative_range(_determinant(entries))) if band is not None]
-    confirmed = sorted(band for band in bands if _unstable_at(p, _inside(*band)))
+    flutter = _damped_flutter(p, entries) if p.damping_x else _undamped_flutter(entries)
+    bands = [band for band in (flutter, _negative_range(_determinant(p, entries))) if band is not None]
+    confirmed = sorted(band for band in bands if _confirmed(p, *band))
     if not confirmed:
         return NO_BAND
     lower, upper = confirmed[0]
@@ -130,9 +136,18 @@ def _stiffness_polynomials(p: RigParameters) -> Entries:
     return np.array([p.k3 + p.k4, aa]), np.array([mu * k_c, ab]), np.array([0.0, ab]), np.array([k_c, bb])
 
 
-def _determinant(entries: Entries) -> Coefficients:
+def _determinant(p: RigParameters, entries: Entries) -> Coefficients:
+    """det K; its quadratic term K_aa K_bb - K_ab^2 as k1 k2 sin^2(theta_1 - theta_2), 0 for parallel arms."""
     k11, k12, k21, k22 = entries
-    return np.asarray(poly.polysub(poly.polymul(k11, k22), poly.polymul(k12, k21)), dtype=np.float64)
+    share_1, share_2 = _shares(p)
+    sine = math.sin(p.arm_angle_1 - p.arm_angle_2)
+    return np.array(
+        [
+            k11[0] * k22[0],
+            k11[0] * k22[1] + k11[1] * k22[0] - k12[0] * k21[1],
+            share_1 * share_2 * sine**2 if abs(sine) > _NO_COUPLING else 0.0,
+        ]
+    )
 
 
 def _undamped_flutter(entries: Entries) -> Band | None:
@@ -147,26 +162,31 @@ def _undamped_flutter(entries: Entries) -> Band | None:
     delta, mu_kc = k22[0] - k11[0], k12[0]
     linear = 0.5 * delta * c2 + kappa * mu_kc
     discriminant = kappa * (kappa * mu_kc**2 + delta * c2 * mu_kc - kappa * delta**2)
-    if not (kappa > 0.0 and linear > 0.0 and discriminant > 0.0):
+    if not (kappa != 0.0 and linear > 0.0 and discriminant > 0.0):
         return None
     q = 0.5 * (linear + math.sqrt(discriminant))
     return float(0.25 * delta**2 / q), float(q / (0.25 * c2**2 + kappa**2))
 
 
 def _damped_flutter(p: RigParameters, entries: Entries) -> Band | None:
-    """Range of k where the Hurwitz determinant of the damped characteristic polynomial is negative."""
-    k11, _, _, k22 = entries
-    m, c_x, c_y = p.mass, p.damping_x, p.damping_y
-    a1 = (c_x + c_y) / m
-    a2 = poly.polyadd((k11 + k22) / m, [c_x * c_y / m**2])
-    a3 = (c_x * k22 + c_y * k11) / m**2
-    a4 = _determinant(entries) / m**2
-    hurwitz = poly.polysub(a1 * poly.polymul(a2, a3), poly.polyadd(poly.polymul(a3, a3), a1**2 * a4))
-    return _negative_range(hurwitz)
+    """Range of k where the Hurwitz determinant of the damped characteristic polynomial is negative.
+
+    With alpha = c_x/m, beta = c_y/m the determinant a1 a2 a3 - a3^2 - a1^2 a4 is
+    alpha beta [(K11 - K22)^2/m^2 + a1 a3] + a1^2 K12 K21/m^2: no small difference of large terms.
+    """
+    k11, k12, k21, k22 = entries
+    if k21[1] == 0.0:
+        return None
+    alpha, beta = p.damping_x / p.mass, p.damping_y / p.mass
+    a1 = alpha + beta
+    difference = k11 - k22
+    a1_a3 = a1 * p.mass * (alpha * k22 + beta * k11)  # times m^2, as all the rest
+    stabilising = alpha * beta * poly.polyadd(poly.polymul(difference, difference), a1_a3)
+    return _negative_range(poly.polyadd(stabilising, a1**2 * poly.polymul(k12, k21)))
 
 
 def _negative_range(coefficients: Coefficients) -> Band | None:
-    """Lowest range of k >= 0 in which a quadratic (or lower) polynomial is negative; None where there is none."""
+    """Range of k >= 0 in which a polynomial a k^2 + b k + c with a >= 0 is negative; None where there is none."""
     c, b, a = np.concatenate([coefficients, np.zeros(3)])[:3]
     roots = sorted(root for root in _real_roots(float(a), float(b), float(c)) if root > 0.0)
     edges = [0.0, *roots, math.inf]
@@ -195,23 +215,34 @@ def _inside(lower: float, upper: float) -> float:
     return 0.5 * (lower + upper)
 
 
+def _confirmed(p: RigParameters, lower: float, upper: float) -> bool:
+    """Whether an eigenvalue grows somewhere in a range, as far as the parameters' own bounds reach."""
+    upper = min(upper, _stiffest(p))
+    return any(_unstable_at(p, lower + share * (upper - lower)) for share in _PROBES if lower < upper)
+
+
+def _stiffest(p: RigParameters) -> float:
+    """The largest mean stiffness at which neither arm is above its own bound."""
+    return float(declarations(RigParameters)["k1"].upper) / max(_shares(p)) * (1.0 - 1e-12)
+
+
 def _unstable_at(p: RigParameters, k: float) -> bool:
     return _growth(p, k) > 0.0
 
 
 def _growth(p: RigParameters, k: float) -> float:
     """Largest Re(lambda)/|lambda| of the linear model at mean stiffness k, less the share that is rounding."""
-    bound = max(k * share for share in _shares(p))
-    if bound > 1e10:  # beyond the parameters' own bound nothing can be asked of the rig
-        return -1.0
     values = eigenvalues(_with_mean_stiffness(p, k), linear=True)
     return float(np.max(values.real / np.maximum(np.abs(values), np.finfo(float).tiny))) - 1e-6
 
 
 def _scanned_band(p: RigParameters) -> Band:
     """The lowest unstable range by a scan of the largest real part over k and bisection of its edges."""
-    top = 1e10 / max(_shares(p))
-    grid = np.concatenate([[0.0], np.geomspace(1e-4 * p.contact_stiffness, top, _SCAN_POINTS)])
+    stiffest = _stiffest(p)
+    grid = np.concatenate([[0.0], np.geomspace(1e-4 * p.contact_stiffness, stiffest, _SCAN_POINTS)])
+    strongest = _undamped_flutter(_stiffness_polynomials(p))
+    if strongest is not None:  # it can be narrower than the grid
+        grid = np.sort(np.append(grid, np.minimum(np.linspace(*strongest, _FLUTTER_POINTS), stiffest)))
     unstable = np.array([_unstable_at(p, float(k)) for k in grid])
     if not unstable.any():
         return NO_BAND

@@ -78,7 +78,7 @@ class Motion:
     @property
     def state(self) -> Vector:
         """Copy of the state (x, y, vx, vy) [m, m/s] at the start of the next block."""
-        return self._state.copy()
+        return np.array(self._state)
 
     def set_parameters(self, p: RigParameters) -> None:
         """Take new parameters from the next block on."""

@@ -1,0 +1,1 @@
+"""What the measured channels tell: friction, its law, squeal, spectra."""

@@ -1,0 +1,181 @@
+"""Friction from what a rig can measure: Eq. (2.1) for each sample, Eq. (2.2) and the ratio of means for each window.
+
+Windows are counted in samples by `seq`, never in arrivals, so live, replayed and offline estimates are the same numbers.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from squeal_rig.estimation.settings import FrictionSettings
+from squeal_rig.instruments.channels import FRICTION_WINDOW_RECORD
+from squeal_rig.instruments.description import RigDescription
+
+Samples = NDArray[np.void]
+Values = NDArray[np.float64]
+_SEQ_MODULUS = 2**32
+
+
+def friction_terms(daq: Samples, rig: RigDescription) -> tuple[Values, Values]:
+    """Numerator F_t = torque/R and denominator of Eq. (2.1) [N], each (n,).
+
+    With sin theta of each arm by itself; the preload is the one in force, from its channel. The denominator equals N
+    only where m y'' + c_y y' = 0: it holds in steady sliding and is badly biased in squeal.
+    """
+    sine_1, sine_2 = math.sin(rig.parameters.arm_angle_1), math.sin(rig.parameters.arm_angle_2)
+    tangential = daq["motor_torque"] / rig.drum_radius
+    normal = daq["arm_left"] * sine_1 + daq["arm_right"] * sine_2 + daq["preload"] * (sine_1 + sine_2)
+    return tangential, normal
+
+
+def sample_friction(tangential: Values, normal: Values, minimum_normal_load: float) -> tuple[Values, NDArray[np.bool_]]:
+    """Eq. (2.1) for each sample, and whether it is valid; invalid samples are zero, never nan or inf.
+
+    A sample is valid where its denominator is at least `minimum_normal_load` [N] and both terms are finite.
+    """
+    valid = np.isfinite(tangential) & np.isfinite(normal) & (normal >= minimum_normal_load)
+    mu = np.divide(tangential, normal, out=np.zeros(len(normal)), where=valid)
+    return mu, valid
+
+
+@dataclass(frozen=True)
+class FrictionWindow:
+    """One window: `stamp` [ns] of its first sample, and its record (`FRICTION_WINDOW_CHANNELS`) as name -> value."""
+
+    stamp: int
+    values: dict[str, float]
+
+    def as_record(self) -> Samples:
+        """Structured array (1,) of the window."""
+        return np.array([tuple(self.values[name] for name in FRICTION_WINDOW_RECORD.names)], FRICTION_WINDOW_RECORD)  # type: ignore[union-attr]
+
+
+class _Sums:
+    """Running sums of one window."""
+
+    def __init__(self) -> None:
+        self.stamp: int | None = None
+        self.count = self.valid = self.true_count = 0
+        self.mu = self.tangential = self.normal = self.preload = self.speed = self.mu_true = 0.0
+
+
+class FrictionEstimator:
+    """Turns blocks of `daq/samples` (and `truth/samples`, where there are any) into windows of friction.
+
+    The first window is the first that begins after the first block: one joined halfway is dropped. A window with lost
+    samples is kept; its `valid_share` tells.
+
+    Args:
+        rig: the rig's constants.
+        settings: window [s] and the smallest denominator [N].
+    """
+
+    def __init__(self, rig: RigDescription, settings: FrictionSettings) -> None:
+        self.rig = rig
+        self._settings = settings
+        self._length = max(1, round(settings.window * rig.sample_rate))
+        self._open: dict[int, _Sums] = {}
+        self._first: int | None = None
+        self._next = 0
+        self._daq_end = self._truth_end = 0
+        self.lost_samples = 0
+
+    def add_samples(self, stamp: int, daq: Samples) -> tuple[Values, NDArray[np.bool_], list[FrictionWindow]]:
+        """Take a block of DAQ samples; returns mu (n,) and valid (n,) of Eq. (2.1), and the windows now complete."""
+        tangential, normal = friction_terms(daq, self.rig)
+        mu, valid = sample_friction(tangential, normal, self._settings.minimum_normal_load)
+        start = self._unwrapped(int(daq["seq"][0]), self._daq_end)
+        if self._first is None:
+            self._first = self._next = -(-start // self._length)
+            self._truth_end = start
+        elif start > self._daq_end:
+            self.lost_samples += start - self._daq_end
+        for index, piece in self._pieces(start, len(daq)):
+            sums = self._open.setdefault(index, _Sums())
+            if sums.stamp is None:
+                sums.stamp = stamp + round(float(daq["t"][piece.start]) * 1e9)
+            ok = valid[piece]
+            sums.count += len(ok)
+            sums.valid += int(ok.sum())
+            sums.mu += float(mu[piece].sum())
+            sums.tangential += float(tangential[piece].sum())
+            sums.normal += float(normal[piece].sum())
+            sums.preload += float(daq["preload"][piece].sum())
+            sums.speed += float(daq["belt_speed"][piece].sum())
+        self._daq_end = start + len(daq)
+        return mu, valid, self._completed()
+
+    def add_truth(self, truth: Samples) -> list[FrictionWindow]:
+        """Take a block of true samples; returns the windows now complete."""
+        start = self._unwrapped(int(truth["seq"][0]), self._truth_end)
+        for index, piece in self._pieces(start, len(truth)):
+            sums = self._open.setdefault(index, _Sums())
+            sums.true_count += piece.stop - piece.start
+            sums.mu_true += float(truth["mu"][piece].sum())
+        self._truth_end = start + len(truth)
+        return self._completed() if self._first is not None else []
+
+    def _pieces(self, start: int, count: int) -> list[tuple[int, slice]]:
+        """(window, slice of the block) for every window a block touches, but for windows already gone."""
+        pieces = []
+        for index in range(start // self._length, (start + count - 1) // self._length + 1):
+            low, high = max(start, index * self._length), min(start + count, (index + 1) * self._length)
+            if index >= self._next:
+                pieces.append((index, slice(low - start, high - start)))
+        return pieces
+
+    def _completed(self) -> list[FrictionWindow]:
+        """Windows that are over, in order; truth may lag by one window before a window goes without it."""
+        windows = []
+        while (self._next + 1) * self._length <= self._daq_end:
+            end = (self._next + 1) * self._length
+            overdue = self._daq_end - end >= self._length
+            if self.rig.publishes_truth and self._truth_end < end and not overdue:
+                break
+            sums = self._open.pop(self._next, None)
+            if sums is not None and sums.stamp is not None:
+                windows.append(FrictionWindow(sums.stamp, self._values(self._next, sums)))
+            self._next += 1
+        return windows
+
+    def _values(self, index: int, sums: _Sums) -> dict[str, float]:
+        period = self._length / self.rig.sample_rate
+        mu = sums.mu / sums.valid if sums.valid else math.nan
+        mean_normal = sums.normal / sums.count
+        ratio = sums.tangential / sums.normal if mean_normal >= self._settings.minimum_normal_load else math.nan
+        mu_true = sums.mu_true / sums.true_count if sums.true_count else math.nan
+        return {
+            "t_start": index * period,
+            "t_end": (index + 1) * period,
+            "mu": mu,
+            "mu_ratio_of_means": ratio,
+            "valid_share": sums.valid / self._length,
+            "preload": sums.preload / sums.count,
+            "belt_speed": sums.speed / sums.count,
+            "mu_true": mu_true,
+            "difference": mu - mu_true,
+        }
+
+    def _unwrapped(self, seq: int, near: int) -> int:
+        """The sample's number over the whole run: `seq` wraps at 2^32."""
+        if self._first is None and near == 0:
+            return seq
+        return near + (seq - near + _SEQ_MODULUS // 2) % _SEQ_MODULUS - _SEQ_MODULUS // 2
+
+
+def offline_windows(
+    blocks: list[tuple[int, Samples, Samples | None]], rig: RigDescription, settings: FrictionSettings
+) -> list[dict[str, Any]]:
+    """Windows of recorded blocks (stamp [ns], daq, truth or None), the same numbers as the live node's."""
+    estimator = FrictionEstimator(rig, settings)
+    windows: list[FrictionWindow] = []
+    for stamp, daq, truth in blocks:
+        windows += estimator.add_samples(stamp, daq)[2]
+        if truth is not None:
+            windows += estimator.add_truth(truth)
+    return [window.values for window in windows]

@@ -1,0 +1,73 @@
+"""Squeal detection: level of the pad's displacement in a band over a window, with hysteresis."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from squeal_rig.estimation.settings import SquealSettings
+from squeal_rig.estimation.spectra import amplitude_spectrum, band_rms, level_db, peak_frequency
+
+Samples = NDArray[np.void]
+
+
+@dataclass(frozen=True)
+class SquealState:
+    """Whether the rig squeals: level [dB re 1 um] and frequency [Hz] of the last window, stamps in ns.
+
+    `since` is the stamp of the window in which squeal began, None while there is none.
+    """
+
+    stamp: int
+    detected: bool
+    level: float
+    frequency: float
+    since: int | None
+
+
+class SquealDetector:
+    """Takes blocks of `daq/samples`; gives a state at the end of every window.
+
+    Windows follow one another by sample count; a gap in the samples starts a window anew, since a spectrum over a gap
+    would be none of the rig's.
+    """
+
+    def __init__(self, sample_rate: int, settings: SquealSettings) -> None:
+        self._rate = sample_rate
+        self._settings = settings
+        self._signal = np.empty(max(2, round(settings.window * sample_rate)))
+        self._filled = 0
+        self._expected: int | None = None
+        self._stamp = 0
+        self.state = SquealState(0, False, level_db(0.0), float("nan"), None)
+
+    def add_samples(self, stamp: int, daq: Samples) -> list[SquealState]:
+        """Take a block; returns the states of the windows it completed."""
+        seq = int(daq["seq"][0])
+        if self._expected is not None and seq != self._expected:
+            self._filled = 0
+        self._expected = (seq + len(daq)) % 2**32
+        states, taken = [], 0
+        while taken < len(daq):
+            if self._filled == 0:
+                self._stamp = stamp + round(float(daq["t"][taken]) * 1e9)
+            count = min(len(daq) - taken, len(self._signal) - self._filled)
+            self._signal[self._filled : self._filled + count] = daq["x"][taken : taken + count]
+            self._filled += count
+            taken += count
+            if self._filled == len(self._signal):
+                states.append(self._judge())
+                self._filled = 0
+        return states
+
+    def _judge(self) -> SquealState:
+        s = self._settings
+        frequencies, amplitudes = amplitude_spectrum(self._signal, self._rate)
+        level = level_db(band_rms(frequencies, amplitudes, s.band_low, s.band_high))
+        detected = level >= (s.off_level if self.state.detected else s.on_level)
+        frequency = peak_frequency(frequencies, amplitudes, s.band_low, s.band_high) if detected else float("nan")
+        since = (self.state.since if self.state.detected else self._stamp) if detected else None
+        self.state = SquealState(self._stamp, detected, level, frequency, since)
+        return self.state

@@ -1,0 +1,1 @@
+"""What a rig can measure: channels, drivers, acquisition block by block."""

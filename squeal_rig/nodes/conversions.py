@@ -1,0 +1,112 @@
+"""All mapping between our objects and ROS messages."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import WrenchStamped
+from sensor_msgs.msg import JointState, PointCloud2, PointField
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+
+FRAME = "rig"
+_FIELD_TYPES = {"f8": PointField.FLOAT64, "f4": PointField.FLOAT32, "u4": PointField.UINT32, "i4": PointField.INT32}
+_NS = 10**9
+
+OK, WARN, ERROR, STALE = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR, DiagnosticStatus.STALE
+
+
+def time_message(nanoseconds: int) -> Time:
+    """A time in ns since the epoch as a message."""
+    return Time(sec=nanoseconds // _NS, nanosec=nanoseconds % _NS)
+
+
+def nanoseconds(stamp: Time) -> int:
+    """A time message in ns since the epoch."""
+    return int(stamp.sec) * _NS + int(stamp.nanosec)
+
+
+def cloud(samples: np.ndarray, stamp: int) -> PointCloud2:
+    """A structured array (n,) as one point a sample; stamp in ns."""
+    dtype = samples.dtype
+    fields = [
+        PointField(name=name, offset=dtype.fields[name][1], datatype=_FIELD_TYPES[dtype[name].str[1:]], count=1)
+        for name in dtype.names
+    ]
+    message = PointCloud2(height=1, width=len(samples), fields=fields, is_bigendian=False, is_dense=True)
+    message.header.stamp, message.header.frame_id = time_message(stamp), FRAME
+    message.point_step, message.row_step = dtype.itemsize, dtype.itemsize * len(samples)
+    # An array("B") is taken as it is; bytes would be checked element by element.
+    message.data = array("B", samples.tobytes())
+    return message
+
+
+def joint_state(stamp: int, position: Sequence[float], velocity: Sequence[float]) -> JointState:
+    """Mean position [m] and velocity [m/s] of the pad as joints pad_x, pad_y."""
+    message = JointState(name=["pad_x", "pad_y"], position=list(position), velocity=list(velocity))
+    message.header.stamp, message.header.frame_id = time_message(stamp), FRAME
+    return message
+
+
+def wrench(stamp: int, tangential: float, normal: float) -> WrenchStamped:
+    """Mean contact force on the pad [N]."""
+    message = WrenchStamped()
+    message.header.stamp, message.header.frame_id = time_message(stamp), FRAME
+    message.wrench.force.x, message.wrench.force.y = tangential, normal
+    return message
+
+
+def labelled_array(values: Sequence[Sequence[float]], rows: str, columns: str) -> Float64MultiArray:
+    """A table of numbers as a multi-array; the labels tell what rows and columns are."""
+    height, width = len(values), len(values[0])
+    message = Float64MultiArray(data=[float(number) for row in values for number in row])
+    message.layout.dim = [
+        MultiArrayDimension(label=rows, size=height, stride=height * width),
+        MultiArrayDimension(label=columns, size=width, stride=width),
+    ]
+    return message
+
+
+def status(level: bytes, name: str, message: str, values: Mapping[str, Any], hardware_id: str = "") -> DiagnosticStatus:
+    """One diagnostic status; floats are written so that they read back bit for bit, nan as `none`."""
+    return DiagnosticStatus(
+        level=level,
+        name=name,
+        message=message,
+        hardware_id=hardware_id,
+        values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()],
+    )
+
+
+def diagnostics(stamp: int, *statuses: DiagnosticStatus) -> DiagnosticArray:
+    """Statuses of one moment [ns]."""
+    message = DiagnosticArray(status=list(statuses))
+    message.header.stamp, message.header.frame_id = time_message(stamp), FRAME
+    return message
+
+
+def status_values(message: DiagnosticStatus) -> dict[str, str]:
+    """Key -> value of a status."""
+    return {pair.key: pair.value for pair in message.values}
+
+
+def status_number(message: DiagnosticStatus, key: str) -> float:
+    """A number out of a status; nan where it says `none` or has no such key."""
+    text = status_values(message).get(key, "none")
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float):
+        return "none" if math.isnan(value) else repr(float(value))
+    return str(value)

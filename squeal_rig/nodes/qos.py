@@ -1,0 +1,17 @@
+"""Quality of service, by name. What is recorded is RELIABLE with depth for one second of its rate."""
+
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+#: Blocks of samples and what follows them one to one: 100 a second.
+BLOCKS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=100, reliability=ReliabilityPolicy.RELIABLE)
+
+#: Windows, states, health: at most some ten a second.
+EVENTS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=20, reliability=ReliabilityPolicy.RELIABLE)
+
+#: The last value is what counts, also for those who come late.
+LATCHED = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)

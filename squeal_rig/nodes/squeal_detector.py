@@ -1,0 +1,78 @@
+"""Node `squeal_detector`: `daq/samples` in; whether the rig squeals, how loud and at what frequency out."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
+
+from squeal_rig.errors import SquealRigError
+from squeal_rig.estimation.settings import SquealSettings
+from squeal_rig.estimation.squeal import SquealDetector, SquealState
+from squeal_rig.instruments.description import RigDescription
+from squeal_rig.nodes import qos
+from squeal_rig.nodes.conversions import OK, WARN, diagnostics, status
+from squeal_rig.nodes.health import DataWatch, Health, HealthPublisher
+from squeal_rig.nodes.lifetime import Lifetime, run_node
+from squeal_rig.nodes.parameters import NODE_OPTIONS, DeclaredParameters
+from squeal_rig.nodes.rig_follower import RigFollower
+from squeal_rig.recording import samples_from_cdr
+
+
+class SquealDetectorNode(Node):
+    """Watches the pad's displacement along the belt for squeal."""
+
+    def __init__(self, lifetime: Lifetime) -> None:
+        super().__init__("squeal_detector", **NODE_OPTIONS)
+        self._settings = DeclaredParameters(self, (SquealSettings(),)).group(SquealSettings)
+        self._detector: SquealDetector | None = None
+        self._sample_rate = 0
+        self._rejected = 0
+        self._watch = DataWatch("daq/samples")
+        self._publisher = self.create_publisher(DiagnosticArray, "squeal/state", qos.EVENTS)
+        RigFollower(self, self._on_rig)
+        self.create_subscription(PointCloud2, "daq/samples", self._on_daq, qos.BLOCKS, raw=True)
+        HealthPublisher(self, self._health)
+
+    def _on_rig(self, rig: RigDescription) -> None:
+        if rig.sample_rate != self._sample_rate:
+            self._sample_rate = rig.sample_rate
+            self._detector = SquealDetector(rig.sample_rate, self._settings)
+
+    def _on_daq(self, data: bytes) -> None:
+        self._watch.seen()
+        if self._detector is None:
+            return
+        try:
+            stamp, _, daq = samples_from_cdr(data)
+            for state in self._detector.add_samples(stamp, daq):
+                self._publisher.publish(_message(state))
+        except SquealRigError as error:
+            self._rejected += 1
+            self.get_logger().warning(f"block refused: {error}", throttle_duration_sec=1.0)
+
+    def _health(self) -> Health:
+        return self._watch.health({"rejected blocks": self._rejected})
+
+
+def _message(state: SquealState) -> DiagnosticArray:
+    values = {
+        "detected": state.detected,
+        "level [dB re 1 um]": state.level,
+        "frequency [Hz]": state.frequency,
+        "since [s]": f"{state.since / 1e9:.9f}" if state.since is not None else "none",
+    }
+    level, text = (WARN, "squeal") if state.detected else (OK, "quiet")
+    return diagnostics(state.stamp, status(level, "squeal", text, values))
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node; returns the exit code."""
+    return run_node(SquealDetectorNode, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
