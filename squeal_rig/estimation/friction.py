@@ -1,6 +1,6 @@
 """Friction from what a rig can measure: Eq. (2.1) for each sample, Eq. (2.2) and the ratio of means for each window.
 
-Windows are counted in samples by `seq`, never in arrivals, so live, replayed and offline estimates are the same numbers.
+Windows are counted in samples by `seq`, never in arrivals: live, replayed and offline estimates are the same numbers.
 """
 
 from __future__ import annotations
@@ -52,7 +52,10 @@ class FrictionWindow:
 
     def as_record(self) -> Samples:
         """Structured array (1,) of the window."""
-        return np.array([tuple(self.values[name] for name in FRICTION_WINDOW_RECORD.names)], FRICTION_WINDOW_RECORD)  # type: ignore[union-attr]
+        record = np.zeros(1, FRICTION_WINDOW_RECORD)
+        for name, value in self.values.items():
+            record[name] = value
+        return record
 
 
 class _Sums:

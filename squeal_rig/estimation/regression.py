@@ -70,5 +70,10 @@ class FrictionRegression:
         scale_v, scale_f = np.max(np.abs(speed)), np.max(np.abs(preload))
         mu0, mu_v, mu_f, mu_vf = coefficients / [1.0, scale_v, scale_f, scale_v * scale_f]
         return FrictionModel(
-            float(mu0), float(mu_v), float(mu_f), float(mu_vf), float(np.sqrt(np.mean(residual**2))), len(self._points)
+            float(mu0),
+            float(mu_v),
+            float(mu_f),
+            float(mu_vf),
+            float(np.sqrt(np.mean(residual**2))),
+            len(self._points),
         )

@@ -12,7 +12,9 @@ from squeal_rig.model.declared import Declared, quantity
 class FrictionSettings(Declared):
     """Settings of the friction estimator."""
 
-    window: float = quantity(0.2, "length T of the windows of Eq. (2.2)", unit="s", lower=0.001, upper=60.0, read_only=True)
+    window: float = quantity(
+        0.2, "length T of the windows of Eq. (2.2)", unit="s", lower=0.001, upper=60.0, read_only=True
+    )
     minimum_normal_load: float = quantity(
         10.0, "denominator of Eq. (2.1) below which a sample is not valid", unit="N", lower=1e-6, upper=1e6
     )
@@ -22,11 +24,17 @@ class FrictionSettings(Declared):
 class SquealSettings(Declared):
     """Settings of the squeal detector. Levels are of the pad's displacement along the belt, RMS in the band."""
 
-    window: float = quantity(0.1, "length of the window a level is taken over", unit="s", lower=0.02, upper=10.0, read_only=True)
+    window: float = quantity(
+        0.1, "length of the window a level is taken over", unit="s", lower=0.02, upper=10.0, read_only=True
+    )
     band_low: float = quantity(500.0, "lower edge of the band", unit="Hz", lower=1.0, upper=1e6, read_only=True)
     band_high: float = quantity(5000.0, "upper edge of the band", unit="Hz", lower=1.0, upper=1e6, read_only=True)
-    on_level: float = quantity(-12.0, "level at which squeal begins", unit="dB re 1 um", lower=-200.0, upper=200.0, read_only=True)
-    off_level: float = quantity(-18.0, "level at which squeal ends", unit="dB re 1 um", lower=-200.0, upper=200.0, read_only=True)
+    on_level: float = quantity(
+        -12.0, "level at which squeal begins", unit="dB re 1 um", lower=-200.0, upper=200.0, read_only=True
+    )
+    off_level: float = quantity(
+        -18.0, "level at which squeal ends", unit="dB re 1 um", lower=-200.0, upper=200.0, read_only=True
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

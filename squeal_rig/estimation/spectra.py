@@ -23,12 +23,12 @@ def amplitude_spectrum(signal: Values, sample_rate: float) -> tuple[Values, Valu
         sample_rate: [Hz].
 
     Returns:
-        frequencies [Hz] and amplitudes in the signal's unit, each (n // 2 + 1,): a sine of amplitude A on a bin shows A.
+        frequencies [Hz] and amplitudes in the signal's unit, each (n // 2 + 1,): a sine on a bin shows its amplitude.
     """
     window = np.hanning(len(signal) + 1)[:-1]
     transform = np.fft.rfft((signal - signal.mean()) * window)
-    amplitudes = np.asarray(np.abs(transform) * (2.0 / window.sum()), dtype=np.float64)
-    frequencies: Values = np.arange(len(amplitudes)) * (sample_rate / len(signal))
+    amplitudes: Values = np.hypot(transform.real, transform.imag).astype(np.float64) * (2.0 / window.sum())
+    frequencies: Values = np.arange(len(amplitudes), dtype=np.float64) * (sample_rate / len(signal))
     return frequencies, amplitudes
 
 

@@ -46,12 +46,12 @@ class Driver(Protocol):
         """Hit the pad with an impulse [N s] at the next block boundary."""
 
     def read(self, in_force: RigParameters) -> Reading:
-        """The next block, with these parameters in force over the whole of it. `seq` and `t` are the caller's to fill."""
+        """The next block, with these parameters in force over all of it. `seq` and `t` are the caller's to fill."""
 
 
 def make_driver(name: str) -> Driver:
     """The driver of that name."""
-    # Imported here so that a rig on hardware does not load the compiled model, nor a virtual one the hardware's library.
+    # Imported here: a rig on hardware need not load the compiled model, nor a virtual one the hardware's library.
     if name == "virtual":
         from squeal_rig.instruments.virtual import VirtualRig
 

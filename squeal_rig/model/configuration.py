@@ -28,9 +28,7 @@ def config_directory() -> Path:
             candidate = parent / "share" / "squeal_rig" / "config"
             if candidate.is_dir():
                 return candidate
-    raise ConfigurationError(
-        f"no configuration found: neither {beside} nor share/squeal_rig/config above {package}"
-    )
+    raise ConfigurationError(f"no configuration found: neither {beside} nor share/squeal_rig/config above {package}")
 
 
 def parse_yaml(text: str, source: str) -> Any:

@@ -21,7 +21,7 @@ _METADATA_KEY = "declaration"
 
 @dataclass(frozen=True)
 class Declaration:
-    """What is known of one parameter. `kind` is float, int, bool, str or tuple (a list of texts); bounds are inclusive, in `unit`."""
+    """What is known of one parameter. Bounds are inclusive, in `unit`; a tuple is a list of texts."""
 
     default: float | int | bool | str | tuple[str, ...]
     description: str
@@ -89,9 +89,7 @@ def checked(declaration: Declaration, value: object) -> Any:
         if not isinstance(value, str):
             raise ParameterError(f"{name} = {value!r} is not a text")
         if declaration.options and value not in declaration.options:
-            raise ParameterError(
-                f"{name} = {value!r} is not known: it must be one of {', '.join(declaration.options)}"
-            )
+            raise ParameterError(f"{name} = {value!r} is not known: it must be one of {', '.join(declaration.options)}")
         return value
     expected = numbers.Integral if kind is int else numbers.Real
     if isinstance(value, bool) or not isinstance(value, expected):

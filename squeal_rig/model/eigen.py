@@ -14,7 +14,8 @@ from squeal_rig.model.parameters import RigParameters
 
 Eigenvalues = NDArray[np.complex128]
 
-#: Re(lambda) counts as growth above this share of |lambda|: rounding alone gives an undamped stable rig positive real parts.
+#: Re(lambda) counts as growth above this share of |lambda|: rounding alone gives an undamped stable rig positive
+#: real parts.
 GROWTH_TOLERANCE = 1e-6
 
 

@@ -35,9 +35,7 @@ def linear_equilibrium(p: RigParameters) -> tuple[float, float]:
     pretension *= 0.5 * (math.tanh(p.contact_smoothing * p.pretension_length) + 1.0)
     load_x, load_y = preload_force(p)
     try:
-        x, y = np.linalg.solve(
-            stiffness_matrix(p), [force_ratio(p) * pretension + load_x, pretension + load_y]
-        )
+        x, y = np.linalg.solve(stiffness_matrix(p), [force_ratio(p) * pretension + load_x, pretension + load_y])
     except np.linalg.LinAlgError:
         raise ModelError("no equilibrium: the stiffness matrix of Eq. (3.1) is singular") from None
     return float(x), float(y)
@@ -58,7 +56,7 @@ def equilibrium(p: RigParameters, linear: bool = False) -> tuple[float, float]:
         x, y = _newton(p, x, y)
     if not y < p.pretension_length:
         raise ModelError(
-            f"no equilibrium in contact: y = {y:.4g} m, it must be below the pretension length {p.pretension_length:g} m"
+            f"no equilibrium in contact: y = {y:.4g} m must be below pretension_length = {p.pretension_length:g} m"
         )
     return x, y
 
@@ -78,9 +76,9 @@ def _newton(p: RigParameters, x: float, y: float) -> tuple[float, float]:
             break
         if float(np.hypot(*step)) <= _NEWTON_TOLERANCE * math.hypot(x, y):
             return x, y
-    raise ModelError(
-        "no equilibrium found: Newton's method on Eq. (2.3) did not converge from the linear equilibrium"
-    )
+    if math.isfinite(x) and y > p.pretension_length:  # held on the belt, it leaves again: the caller says so
+        return x, y
+    raise ModelError("no equilibrium found: Newton's method on Eq. (2.3) did not converge from the linear equilibrium")
 
 
 def normal_force(p: RigParameters, y: float) -> float:

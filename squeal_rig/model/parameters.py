@@ -66,9 +66,7 @@ class RigParameters(Declared):
     )
     damping_x: float = quantity(0.0, "viscous damping along the belt (the paper has none)", **_DAMPING)
     damping_y: float = quantity(0.0, "viscous damping normal to the belt (the paper has none)", **_DAMPING)
-    preload: float = quantity(
-        50.0, "preload F of one arm", unit="N", lower=0.0, upper=2000.0, concern=OPERATING
-    )
+    preload: float = quantity(50.0, "preload F of one arm", unit="N", lower=0.0, upper=2000.0, concern=OPERATING)
     belt_speed: float = quantity(1.0, "belt speed V", unit="m/s", lower=0.0, upper=20.0, concern=OPERATING)
     mu0: float = quantity(0.25010, "friction law: constant term", lower=-10.0, upper=10.0, concern=FRICTION)
     mu_speed: float = quantity(
@@ -135,9 +133,7 @@ class RigParameters(Declared):
         """Parameters from a flat YAML mapping; the key `preset`, if given, names the base it differs from."""
         content = load_yaml(path)
         if not isinstance(content, dict):
-            raise ConfigurationError(
-                f"{path}: expected a mapping of parameter names to values, got {content!r}"
-            )
+            raise ConfigurationError(f"{path}: expected a mapping of parameter names to values, got {content!r}")
         values: dict[str, object] = dict(content)
         try:
             base = cls.preset(str(values.pop("preset"))) if "preset" in values else None

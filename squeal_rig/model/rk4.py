@@ -14,7 +14,7 @@ COLUMNS = 6
 
 @kernel
 def advance(state: Vector, q: Vector, interval: float, substeps: int, out: Vector) -> int:
-    """Fill `out` (n, 6) with samples `interval` [s] apart, from `state` (4,) on, which ends one interval after the last.
+    """Fill `out` (n, 6) with samples `interval` [s] apart, from `state` (4,) on, left one interval after the last.
 
     Returns the number of finite samples: below n the motion left every bound.
     """

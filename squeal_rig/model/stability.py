@@ -1,6 +1,6 @@
 """Critical pad stiffness: where the linear model, Eqs. (3.1), (3.2), loses its stability.
 
-At a fixed ratio k1/k2 every entry of K is linear in the mean arm stiffness k, so each boundary is a root of a quadratic:
+At a fixed ratio k1/k2 every entry of K is linear in the mean arm stiffness k, so a boundary is a root of a quadratic:
 - undamped flutter, complex eigenvalues of K: (K11 - K22)^2/4 + K12 K21 < 0;
 - damped flutter, the Hurwitz determinant of the characteristic polynomial: a1 a2 a3 - a3^2 - a1^2 a4 < 0;
 - divergence: det K < 0.
@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.polynomial import polynomial as poly
@@ -88,7 +89,8 @@ class StabilityReport:
 def stability_report(p: RigParameters) -> StabilityReport:
     """Eigenvalues at the exact equilibrium, beside the stability band of the linear model.
 
-    The margin is (k_cr - k)/k_cr with k = (k1 + k2)/2; nan where there is no k_cr. Growth rate is the largest Re lambda.
+    The margin is (k_cr - k)/k_cr with k = (k1 + k2)/2, nan where there is no k_cr; the growth rate is the largest
+    Re lambda.
 
     Raises:
         ModelError: the exact equilibrium does not exist.
@@ -190,7 +192,7 @@ def _negative_range(coefficients: Coefficients) -> Band | None:
     c, b, a = np.concatenate([coefficients, np.zeros(3)])[:3]
     roots = sorted(root for root in _real_roots(float(a), float(b), float(c)) if root > 0.0)
     edges = [0.0, *roots, math.inf]
-    for lower, upper in zip(edges, edges[1:]):
+    for lower, upper in pairwise(edges):
         k = _inside(lower, upper)
         if (a * k + b) * k + c < 0.0:
             return lower, upper

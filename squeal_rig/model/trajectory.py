@@ -68,9 +68,7 @@ class Motion:
         if step is not None and not (math.isfinite(step) and step > 0.0):
             raise ParameterError(f"step = {step} s is out of bounds: it must be above 0 s")
         self._interval = 1.0 / sample_rate
-        self._substeps = max(
-            1, math.ceil(self._interval / (DEFAULT_STEP if step is None else step) * (1.0 - 1e-12))
-        )
+        self._substeps = max(1, math.ceil(self._interval / (DEFAULT_STEP if step is None else step) * (1.0 - 1e-12)))
         self.parameters = p
         self._state: Vector = resting_state(p) if state is None else _checked_state(state)
         self._packed = pack(p)
@@ -103,7 +101,7 @@ class Motion:
         finite = rk4.advance(self._state, self._packed, self._interval, self._substeps, out)
         if finite < len(out):
             raise ModelError(
-                f"the motion left every bound {finite * self._interval:.4g} s into the block: no finite state to go on from"
+                f"the motion left every bound {finite * self._interval:.4g} s into the block: there is no state to go on"
             )
 
 

@@ -15,10 +15,20 @@ from sensor_msgs.msg import JointState, PointCloud2, PointField
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 FRAME = "rig"
-_FIELD_TYPES = {"f8": PointField.FLOAT64, "f4": PointField.FLOAT32, "u4": PointField.UINT32, "i4": PointField.INT32}
+_FIELD_TYPES = {
+    "f8": PointField.FLOAT64,
+    "f4": PointField.FLOAT32,
+    "u4": PointField.UINT32,
+    "i4": PointField.INT32,
+}
 _NS = 10**9
 
-OK, WARN, ERROR, STALE = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR, DiagnosticStatus.STALE
+OK, WARN, ERROR, STALE = (
+    DiagnosticStatus.OK,
+    DiagnosticStatus.WARN,
+    DiagnosticStatus.ERROR,
+    DiagnosticStatus.STALE,
+)
 
 
 def time_message(nanoseconds: int) -> Time:
@@ -35,8 +45,8 @@ def cloud(samples: np.ndarray, stamp: int) -> PointCloud2:
     """A structured array (n,) as one point a sample; stamp in ns."""
     dtype = samples.dtype
     fields = [
-        PointField(name=name, offset=dtype.fields[name][1], datatype=_FIELD_TYPES[dtype[name].str[1:]], count=1)
-        for name in dtype.names
+        PointField(name=name, offset=entry[1], datatype=_FIELD_TYPES[entry[0].str[1:]], count=1)
+        for name, entry in (dtype.fields or {}).items()
     ]
     message = PointCloud2(height=1, width=len(samples), fields=fields, is_bigendian=False, is_dense=True)
     message.header.stamp, message.header.frame_id = time_message(stamp), FRAME

@@ -33,7 +33,7 @@ class FrictionEstimatorNode(Node):
 
     def __init__(self, lifetime: Lifetime) -> None:
         super().__init__("friction_estimator", **NODE_OPTIONS)
-        self._parameters = DeclaredParameters(self, (FrictionSettings(),))
+        self._declared = DeclaredParameters(self, (FrictionSettings(),))
         self._estimator: FrictionEstimator | None = None
         self._regression = FrictionRegression()
         self._rejected = 0
@@ -50,7 +50,7 @@ class FrictionEstimatorNode(Node):
 
     def _on_rig(self, rig: RigDescription) -> None:
         if self._estimator is None or self._estimator.rig.sample_rate != rig.sample_rate:
-            self._estimator = FrictionEstimator(rig, self._parameters.group(FrictionSettings))
+            self._estimator = FrictionEstimator(rig, self._declared.group(FrictionSettings))
         self._estimator.rig = rig
 
     def _on_daq(self, data: bytes) -> None:

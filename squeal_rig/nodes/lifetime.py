@@ -73,7 +73,7 @@ def run_node(factory: Callable[[Lifetime], Node], args: Sequence[str] | None = N
 
 
 def _refused(sentence: str) -> int:
-    print(sentence, file=sys.stderr, flush=True)
+    sys.stderr.write(f"{sentence}\n")
     rclpy.try_shutdown()
     return 2
 

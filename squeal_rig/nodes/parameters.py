@@ -82,8 +82,7 @@ class DeclaredParameters:
             for name, value in group.as_mapping().items():
                 if node.has_parameter(name):
                     node.undeclare_parameter(name)
-                value = list(value) if isinstance(value, tuple) else value
-                node.declare_parameter(name, value, descriptor(self._declarations[name]), ignore_override=True)
+                node.declare_parameter(name, _as_ros(value), descriptor(self._declarations[name]), ignore_override=True)
         node.add_pre_set_parameters_callback(self._integers_as_floats)
         node.add_on_set_parameters_callback(self._judge)
         node.add_post_set_parameters_callback(self._take)
@@ -154,6 +153,10 @@ def descriptor(declaration: Declaration) -> ParameterDescriptor:
         elif declaration.kind is int:
             result.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
     return result
+
+
+def _as_ros(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value
 
 
 def _is_rclpys(name: str) -> bool:

@@ -44,7 +44,9 @@ class PlayerNode(Node):
             raise RecordingError(f"player: no topic of {self._settings.bag} matches {', '.join(self._settings.topics)}")
         self._outputs: dict[str, Publisher] = {
             topic: self.create_publisher(
-                message_class(self._bag.topics[topic].type_name), topic, replayed_qos(self._bag.topics[topic].qos)
+                message_class(self._bag.topics[topic].type_name),
+                topic,
+                replayed_qos(self._bag.topics[topic].qos),
             )
             for topic in topics
         }

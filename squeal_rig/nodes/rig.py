@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 from geometry_msgs.msg import WrenchStamped
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.timer import Timer
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import String
@@ -20,22 +21,17 @@ from squeal_rig.instruments.description import RigDescription
 from squeal_rig.instruments.driver import make_driver
 from squeal_rig.instruments.means import block_means
 from squeal_rig.instruments.pacing import Pacer
-from squeal_rig.instruments.settings import RigSettings
-from squeal_rig.model.declared import Declared, quantity
+from squeal_rig.instruments.settings import PresetChoice, RigSettings
+from squeal_rig.model.declared import Declared
 from squeal_rig.model.friction import friction_refusal
-from squeal_rig.model.parameters import RigParameters, preset_names
+from squeal_rig.model.parameters import RigParameters
 from squeal_rig.nodes import qos
 from squeal_rig.nodes.conversions import ERROR, OK, WARN, cloud, joint_state, time_message, wrench
 from squeal_rig.nodes.health import Health, HealthPublisher
 from squeal_rig.nodes.lifetime import STEADY, Lifetime, run_node
 from squeal_rig.nodes.parameters import NODE_OPTIONS, DeclaredParameters, overrides
 
-
-@dataclass(frozen=True)
-class PresetChoice(Declared):
-    """Which preset the rig's parameters start from."""
-
-    preset: str = quantity("yavuz_sen_2023", "preset the parameters start from", read_only=True)
+Response = TypeVar("Response", Trigger.Response, SetBool.Response)
 
 
 class RigNode(LifecycleNode):
@@ -46,13 +42,13 @@ class RigNode(LifecycleNode):
         self._lifetime = lifetime
         preset = PresetChoice.from_mapping({k: v for k, v in overrides(self).items() if k == "preset"})
         base = RigParameters.preset(preset.preset)
-        self._parameters = DeclaredParameters(self, (preset, base, RigSettings()), self._refuse, self._apply)
-        self._settings: RigSettings = self._parameters.group(RigSettings)
+        self._declared = DeclaredParameters(self, (preset, base, RigSettings()), self._refuse, self._apply)
+        self._settings: RigSettings = self._declared.group(RigSettings)
         self._driver_name = fixed_driver or self._settings.driver
         self._check_operating_point()
         self._acquisition: Acquisition | None = None
         self._pacer = Pacer(self._settings.real_time_factor)
-        self._timer = None
+        self._timer: Timer | None = None
         self._active = self._paused = False
         self._fault = ""
         self._warnings: tuple[str, ...] = ()
@@ -112,7 +108,7 @@ class RigNode(LifecycleNode):
             self._acquisition.close()
             self._acquisition = None
 
-    def _attempt(self, action) -> TransitionCallbackReturn:  # type: ignore[no-untyped-def]
+    def _attempt(self, action: Callable[[], None]) -> TransitionCallbackReturn:
         try:
             action()
         except SquealRigError as error:
@@ -123,7 +119,7 @@ class RigNode(LifecycleNode):
     def _open(self) -> None:
         driver = make_driver(self._driver_name)
         samples = self._acquisition.samples if self._acquisition is not None else 0
-        self._acquisition = Acquisition(driver, self._parameters.group(RigParameters), self._settings)
+        self._acquisition = Acquisition(driver, self._declared.group(RigParameters), self._settings)
         self._acquisition.samples = samples
         self._publish_description()
 
@@ -169,7 +165,7 @@ class RigNode(LifecycleNode):
         self._daq.publish(cloud(block.daq, block.stamp))
         if block.truth is not None:
             self._truth.publish(cloud(block.truth, block.stamp))
-        means = block_means(block, self._parameters.group(RigParameters), self._settings.drum_radius)
+        means = block_means(block, self._declared.group(RigParameters), self._settings.drum_radius)
         self._state.publish(joint_state(block.stamp, means.position, means.velocity))
         self._wrench.publish(wrench(block.stamp, means.tangential, means.normal))
         self._next_stamp = block.stamp + 10_000_000
@@ -193,22 +189,22 @@ class RigNode(LifecycleNode):
         return friction_refusal(wanted)
 
     def _check_operating_point(self) -> None:
-        sentence = friction_refusal(self._parameters.group(RigParameters))
+        sentence = friction_refusal(self._declared.group(RigParameters))
         if sentence:
             raise SquealRigError(f"rig: {sentence}")
 
     def _apply(self) -> None:
-        self._settings = self._parameters.group(RigSettings)
+        self._settings = self._declared.group(RigSettings)
         if self._acquisition is not None:
             self._acquisition.settings = self._settings
-            self._acquisition.set_point = self._parameters.group(RigParameters)
+            self._acquisition.set_point = self._declared.group(RigParameters)
         self._publish_description()
 
     def _description_now(self) -> RigDescription:
         acquisition = self._acquisition
         return RigDescription(
-            parameters=self._parameters.group(RigParameters),
-            preset=self._parameters.group(PresetChoice).preset,
+            parameters=self._declared.group(RigParameters),
+            preset=self._declared.group(PresetChoice).preset,
             driver=self._driver_name,
             publishes_truth=acquisition is None or acquisition.publishes_truth,
             sample_rate=self._settings.sample_rate,
@@ -256,7 +252,7 @@ class RigNode(LifecycleNode):
             self._restart()
         return "paused" if pause else "running"
 
-    def _serve(self, response, action):  # type: ignore[no-untyped-def]
+    def _serve(self, response: Response, action: Callable[[Acquisition], str]) -> Response:
         if self._acquisition is None or not self._active:
             response.success, response.message = False, "the rig is not active: activate it first"
             return response

@@ -36,9 +36,7 @@ class RigFollower:
         if events:
             namespace = node.get_namespace().rstrip("/")
             self._rig = f"{namespace}/{_RIG_NODE}"
-            node.create_subscription(
-                ParameterEvent, "/parameter_events", self._on_event, qos_profile_parameter_events
-            )
+            node.create_subscription(ParameterEvent, "/parameter_events", self._on_event, qos_profile_parameter_events)
 
     def _on_description(self, message: String) -> None:
         try:

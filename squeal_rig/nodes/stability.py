@@ -97,9 +97,7 @@ class StabilityNode(Node):
                 statuses.append(self._analysed("in force, estimated mu", fixed, "estimated"))
         self._summary.publish(diagnostics(self.get_clock().now().nanoseconds, *statuses))
 
-    def _analysed(
-        self, name: str, p: RigParameters, source: str, with_eigenvalues: bool = False
-    ) -> DiagnosticStatus:
+    def _analysed(self, name: str, p: RigParameters, source: str, with_eigenvalues: bool = False) -> DiagnosticStatus:
         point = {
             "preload [N]": p.preload,
             "belt speed [m/s]": p.belt_speed,

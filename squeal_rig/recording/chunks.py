@@ -83,9 +83,7 @@ class ChunkBuilder:
 
     def __init__(self, compression: str = "zstd") -> None:
         if compression not in COMPRESSIONS:
-            raise RecordingError(
-                f"Compression is {compression!r}; it must be one of {', '.join(COMPRESSIONS)}."
-            )
+            raise RecordingError(f"Compression is {compression!r}; it must be one of {', '.join(COMPRESSIONS)}.")
         self._compressor = zstandard.ZstdCompressor(level=_ZSTD_LEVEL) if compression == "zstd" else None
         self.clear()
 
@@ -153,9 +151,7 @@ class ChunkBuilder:
             message_start_time=start,
             uncompressed_size=len(raw),
         )
-        return PackedChunk(
-            b"".join(parts), index, {key: len(entries) for key, entries in self._entries.items()}
-        )
+        return PackedChunk(b"".join(parts), index, {key: len(entries) for key, entries in self._entries.items()})
 
     def _append(self, part: bytes) -> None:
         self._parts.append(part)

@@ -59,9 +59,7 @@ def samples_from_cdr(data: bytes) -> SampleBlock:
     if len(data) < 16:
         raise RecordingError(f"A PointCloud2 of {len(data)} bytes is cut short.")
     if data[0] != 0 or data[1] > 1:
-        raise RecordingError(
-            f"A PointCloud2 has the CDR encoding 0x{data[:2].hex()}; 0x0000 and 0x0001 can be read."
-        )
+        raise RecordingError(f"A PointCloud2 has the CDR encoding 0x{data[:2].hex()}; 0x0000 and 0x0001 can be read.")
     little = data[1] == 1
     seconds, nanoseconds = (_STAMP_LE if little else _STAMP_BE).unpack_from(data, _HEADER)
     layout = _known_layout(data, little)
@@ -69,9 +67,7 @@ def samples_from_cdr(data: bytes) -> SampleBlock:
         layout = _parse_layout(data, little)
     end = layout.start + layout.size
     if len(data) < end + 1:
-        raise RecordingError(
-            f"A PointCloud2 of {len(data)} bytes is cut short: its points end at byte {end}."
-        )
+        raise RecordingError(f"A PointCloud2 of {len(data)} bytes is cut short: its points end at byte {end}.")
     return SampleBlock(seconds * 1_000_000_000 + nanoseconds, layout.frame_id, _view(data, layout))
 
 
@@ -86,9 +82,7 @@ def cdr_from_samples(
     if not -(2**31) <= seconds < 2**31:
         raise RecordingError(f"The stamp is {stamp_ns} ns; it must fit 32-bit seconds.")
     if samples.ndim != 1 or samples.dtype.names is None:
-        raise RecordingError(
-            f"Samples are a structured array (n,), not {samples.dtype} of shape {samples.shape}."
-        )
+        raise RecordingError(f"Samples are a structured array (n,), not {samples.dtype} of shape {samples.shape}.")
     fields, big = _fields_of(samples.dtype)
     order = "<" if little_endian else ">"
     out = bytearray((0, int(little_endian), 0, 0))
@@ -178,22 +172,16 @@ def _parse_layout(data: bytes, little: bool) -> _Layout:
     if big > 1:
         raise RecordingError(f"A PointCloud2 has is_bigendian {big}; it must be 0 or 1.")
     if not 0 < point_step <= MAX_POINT_STEP:
-        raise RecordingError(
-            f"A PointCloud2 has point_step {point_step}; it must lie in 1..{MAX_POINT_STEP} bytes."
-        )
+        raise RecordingError(f"A PointCloud2 has point_step {point_step}; it must lie in 1..{MAX_POINT_STEP} bytes.")
     if height * width == 0:
         needed, height, width = 0, 0, 0
     elif row_step < width * point_step and height > 1:
-        raise RecordingError(
-            f"A PointCloud2 has row_step {row_step} bytes, less than {width} points of {point_step}."
-        )
+        raise RecordingError(f"A PointCloud2 has row_step {row_step} bytes, less than {width} points of {point_step}.")
     else:
         needed = (height - 1) * row_step + width * point_step
     if size < needed or cursor.at + size > len(data):
         raise RecordingError(f"A PointCloud2 holds {size} bytes of points where {needed} are needed.")
-    layout = _Layout(
-        frame_id, _dtype(fields, point_step, bool(big)), height, width, row_step, cursor.at, size
-    )
+    layout = _Layout(frame_id, _dtype(fields, point_step, bool(big)), height, width, row_step, cursor.at, size)
     _remember(data, little, layout)
     return layout
 
@@ -205,9 +193,7 @@ def _dtype(fields: list[tuple[str, int, int, int]], point_step: int, big: bool) 
     for name, offset, datatype, count in fields:
         code = _CODES.get(datatype)
         if code is None:
-            raise RecordingError(
-                f"Field {name!r} of a PointCloud2 has datatype {datatype}; 1 to 8 are known."
-            )
+            raise RecordingError(f"Field {name!r} of a PointCloud2 has datatype {datatype}; 1 to 8 are known.")
         if not name or name in names:
             raise RecordingError(f"A PointCloud2 has the field name {name!r} more than once or empty.")
         if count == 0 or offset + count * int(code[1]) > point_step:

@@ -104,9 +104,7 @@ class McapFile:
         self._summary_bound += len(record_bytes(index))
         totals = self.totals
         first = totals.message_count == 0
-        totals.start_time = (
-            index.message_start_time if first else min(totals.start_time, index.message_start_time)
-        )
+        totals.start_time = index.message_start_time if first else min(totals.start_time, index.message_start_time)
         totals.end_time = max(totals.end_time, index.message_end_time)
         for channel_id, count in chunk.message_counts.items():
             self._counts[channel_id] = self._counts.get(channel_id, 0) + count
@@ -136,9 +134,7 @@ class McapFile:
                     offsets += record_bytes(SummaryOffset(opcode, start + len(summary), len(group)))
                 summary += group
             offset_start = start + len(summary)
-            footer = record_bytes(
-                Footer(summary_start=start, summary_offset_start=offset_start, summary_crc=0)
-            )
+            footer = record_bytes(Footer(summary_start=start, summary_offset_start=offset_start, summary_crc=0))
             # The CRC covers the summary and the footer up to the CRC field itself.
             crc = zlib.crc32(summary + offsets + footer[: _FOOTER_BYTES - 4])
             ending = footer[: _FOOTER_BYTES - 4] + crc.to_bytes(4, "little") + MAGIC

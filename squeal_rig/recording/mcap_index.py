@@ -75,9 +75,7 @@ def index_file(path: Path) -> FileIndex:
         raise RecordingError(f"Cannot read {path}: {error.strerror}.") from None
 
 
-def read_block(
-    stream: BinaryIO, path: Path, block: Block, wanted: frozenset[int] | None
-) -> list[ChunkMessage]:
+def read_block(stream: BinaryIO, path: Path, block: Block, wanted: frozenset[int] | None) -> list[ChunkMessage]:
     """Return the messages of a block in the file's order, only of the wanted channel ids where given.
 
     Raises RecordingError, naming file and offset, when the block is damaged.
@@ -133,11 +131,7 @@ def _check_summary(path: Path, stream: BinaryIO, footer: Footer, size: int) -> N
 def _read_header(path: Path, stream: BinaryIO) -> str:
     stream.seek(0)
     head = stream.read(len(MAGIC) + _RECORD.size)
-    if (
-        len(head) < len(MAGIC) + _RECORD.size
-        or head[: len(MAGIC)] != MAGIC
-        or head[len(MAGIC)] != Opcode.HEADER
-    ):
+    if len(head) < len(MAGIC) + _RECORD.size or head[: len(MAGIC)] != MAGIC or head[len(MAGIC)] != Opcode.HEADER:
         raise RecordingError(f"{path} is not an MCAP file.")
     size = int.from_bytes(head[-8:], "little")
     header: Header = parse_record(path, Header.read, stream.read(min(size, 1 << 20)))
@@ -276,6 +270,4 @@ def parse_record(path: Path, read: Callable[[Any], Record], body: bytes) -> Reco
     try:
         return read(ReadDataStream(io.BytesIO(body)))
     except Exception as error:  # mcap raises its own, struct's and unicode errors here
-        raise RecordingError(
-            f"{path} is damaged: a record cannot be read ({type(error).__name__})."
-        ) from None
+        raise RecordingError(f"{path} is damaged: a record cannot be read ({type(error).__name__}).") from None

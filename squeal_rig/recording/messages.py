@@ -32,9 +32,7 @@ def decoder_of(schema: MessageSchema) -> Decode:
     except Exception as error:  # its parser raises many kinds
         raise RecordingError(f"The definition of {schema.type_name} cannot be read ({error}).") from None
     if decode is None:
-        raise RecordingError(
-            f"The bag holds no ros2msg definition of {schema.type_name} ({schema.encoding!r})."
-        )
+        raise RecordingError(f"The bag holds no ros2msg definition of {schema.type_name} ({schema.encoding!r}).")
     return _guarded(decode, schema.type_name)
 
 
@@ -51,8 +49,6 @@ def _guarded(decode: Decode, type_name: str) -> Decode:
         try:
             return decode(data)
         except Exception as error:  # struct.error, IndexError, UnicodeDecodeError, ...
-            raise RecordingError(
-                f"{len(data)} bytes are no {type_name} ({type(error).__name__}: {error})."
-            ) from None
+            raise RecordingError(f"{len(data)} bytes are no {type_name} ({type(error).__name__}: {error}).") from None
 
     return guarded

@@ -96,9 +96,7 @@ class Bag:
         if topics is not None:
             missing = sorted(set(topics) - set(self.topics))
             if missing:
-                raise RecordingError(
-                    f"{self.path} has no topic {missing[0]}; it has {', '.join(sorted(self.topics))}."
-                )
+                raise RecordingError(f"{self.path} has no topic {missing[0]}; it has {', '.join(sorted(self.topics))}.")
         low = 0 if start is None else start
         high = 2**64 if end is None else end
         return self._messages(topics, low, high)
@@ -175,9 +173,7 @@ def _topics(indexes: Collection[FileIndex]) -> dict[str, TopicInfo]:
                 message_count=index.message_counts.get(channel.id, 0) + (known.message_count if known else 0),
                 qos=_qos_of(index.path, channel),
                 type_hash=type_hash,
-                schema=MessageSchema(
-                    schema.name, schema.data.decode(errors="replace"), type_hash, schema.encoding
-                ),
+                schema=MessageSchema(schema.name, schema.data.decode(errors="replace"), type_hash, schema.encoding),
                 serialization_format=channel.message_encoding,
             )
     return topics
@@ -191,9 +187,7 @@ def _qos_of(path: Path, channel: Channel) -> tuple[QosProfile, ...]:
 
 
 def _wanted_channels(index: FileIndex, topics: Collection[str] | None) -> frozenset[int]:
-    return frozenset(
-        key for key, channel in index.channels.items() if topics is None or channel.topic in topics
-    )
+    return frozenset(key for key, channel in index.channels.items() if topics is None or channel.topic in topics)
 
 
 def _may_hold(block: Block, wanted: frozenset[int], start: int, end: int) -> bool:

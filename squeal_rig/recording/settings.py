@@ -32,7 +32,9 @@ class RecorderSettings(Declared):
     """Settings of the recorder."""
 
     directory: str = quantity("", "bag to write, a new folder; bags/<UTC stamp> when empty", read_only=True)
-    topics: tuple[str, ...] = quantity(DEFAULT_TOPICS, "topics to record; '*' is every topic of the graph", read_only=True)
+    topics: tuple[str, ...] = quantity(
+        DEFAULT_TOPICS, "topics to record; '*' is every topic of the graph", read_only=True
+    )
     compression: str = quantity("zstd", "compression of the chunks", options=("zstd", "none"), read_only=True)
 
 
@@ -41,14 +43,32 @@ class PlayerSettings(Declared):
     """Settings of the player."""
 
     bag: str = quantity("", "bag to play: a folder or an .mcap file", read_only=True)
-    rate: float = quantity(1.0, "speed of the replay: 1 is as recorded, 0 as fast as possible", lower=0.0, upper=100.0, read_only=True)
+    rate: float = quantity(
+        1.0,
+        "speed of the replay: 1 is as recorded, 0 as fast as possible",
+        lower=0.0,
+        upper=100.0,
+        read_only=True,
+    )
     topics: tuple[str, ...] = quantity(
-        ("daq/*", "truth/*", "rig/description"), "topics to play, patterns with * and ?, in any namespace", read_only=True
+        ("daq/*", "truth/*", "rig/description"),
+        "topics to play, patterns with * and ?, in any namespace",
+        read_only=True,
     )
     clock: bool = quantity(False, "publish the recorded time on /clock", read_only=True)
     wait_for_subscribers: float = quantity(
-        0.0, "longest wait at start for a subscriber to every topic played", unit="s", lower=0.0, upper=600.0, read_only=True
+        0.0,
+        "longest wait at start for a subscriber to every topic played",
+        unit="s",
+        lower=0.0,
+        upper=600.0,
+        read_only=True,
     )
     max_rate: float = quantity(
-        50.0, "most data published per second at rate 0", unit="MB/s", lower=0.1, upper=10000.0, read_only=True
+        50.0,
+        "most data published per second at rate 0",
+        unit="MB/s",
+        lower=0.1,
+        upper=10000.0,
+        read_only=True,
     )

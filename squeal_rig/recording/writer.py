@@ -121,9 +121,7 @@ class BagWriter:
             if known is not None:
                 if known.entry.type_name == type_name or known.entry.type_name == full_type_name(type_name):
                     return known
-                raise RecordingError(
-                    f"Topic {topic} has type {known.entry.type_name}; it cannot be {type_name} too."
-                )
+                raise RecordingError(f"Topic {topic} has type {known.entry.type_name}; it cannot be {type_name} too.")
             if len(self._handles) >= _MAX_CHANNELS:
                 raise RecordingError(f"A bag holds at most {_MAX_CHANNELS} topics.")
             definition = installed_schema(type_name) if schema is None else schema
@@ -174,9 +172,7 @@ class BagWriter:
         with self._lock:
             self._check_open()
             self._write_chunk()
-            following = self._open_file(
-                len(self._closed_files) + 1
-            )  # first: if it fails, the old one goes on
+            following = self._open_file(len(self._closed_files) + 1)  # first: if it fails, the old one goes on
             self._finish_file()
             self._file = following
             self._file_start = None
@@ -212,9 +208,7 @@ class BagWriter:
             if any(self.directory.iterdir()):
                 raise RecordingError(f"The bag directory {self.directory} exists already and is not empty.")
         except OSError as error:
-            raise RecordingError(
-                f"Cannot create the bag directory {self.directory}: {error.strerror}."
-            ) from None
+            raise RecordingError(f"Cannot create the bag directory {self.directory}: {error.strerror}.") from None
 
     def _open_file(self, number: int) -> McapFile:
         path = self.directory / f"{self.directory.name}_{number}.mcap"
@@ -239,9 +233,7 @@ class BagWriter:
 
     def _split_if_due(self, log_time: int) -> None:
         duration = self._max_file_duration_ns
-        too_long = (
-            duration is not None and self._file_start is not None and log_time - self._file_start >= duration
-        )
+        too_long = duration is not None and self._file_start is not None and log_time - self._file_start >= duration
         if too_long or (self._max_file_size is not None and self._file.size >= self._max_file_size):
             if self._file.totals.message_count or self._chunk.message_count:
                 self.split()
@@ -252,16 +244,12 @@ class BagWriter:
             self._file.append_chunk(packed, closing=closing)
             self._chunk.clear()
 
-    def _new_handle(
-        self, topic: str, definition: MessageSchema, qos: tuple[QosProfile, ...]
-    ) -> ChannelHandle:
+    def _new_handle(self, topic: str, definition: MessageSchema, qos: tuple[QosProfile, ...]) -> ChannelHandle:
         key = (definition.type_name, definition.text)
         schema = self._schemas.get(key)
         if schema is None:
             text = definition.text.encode()
-            schema = Schema(
-                len(self._schemas) + 1, text, definition.encoding if text else "", definition.type_name
-            )
+            schema = Schema(len(self._schemas) + 1, text, definition.encoding if text else "", definition.type_name)
             self._schemas[key] = schema
         channel = Channel(
             id=len(self._handles) + 1,

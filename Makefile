@@ -1,0 +1,77 @@
+# `make demo` and `make test` need Python 3.10 to 3.14 with venv, on Linux x86-64; the rest they fetch into .venv.
+
+PYTHON ?= python3
+PY := .venv/bin/python
+# Given after the command of a target, as in: make test ARGS="-k friction"
+ARGS ?=
+
+.PHONY: help demo test lint bench clean
+.DEFAULT_GOAL := help
+
+# A ROS installation or another environment around us would mix its libraries with ours.
+unexport AMENT_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH VIRTUAL_ENV
+unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
+
+help:
+	@echo "make demo    run the rig from quiet sliding into squeal; leaves a bag and a picture in bags/"
+	@echo "make test    run the tests (ARGS: options for pytest)"
+	@echo "make lint    check style, types and imports"
+	@echo "make bench   measure speed (ARGS: options for pytest)"
+	@echo "make clean   remove .venv, caches and build output; recordings stay"
+	@echo "Another Python: make PYTHON=python3.12 ..."
+
+demo: .venv/.ready
+	.venv/bin/squeal-rig demo $(ARGS)
+
+test: .venv/.ready
+	$(PY) -m pytest $(ARGS)
+
+bench: .venv/.ready
+	$(PY) -m pytest -m bench $(ARGS)
+
+lint: .venv/.lint
+	.venv/bin/ruff check .
+	.venv/bin/ruff format --check .
+	$(PY) -m mypy
+	.venv/bin/lint-imports
+
+clean:
+	rm -rf .venv build install log dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .import_linter_cache
+	rm -rf .hypothesis .benchmarks
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# --- the environment -------------------------------------------------------------------------------------
+
+# Editable, so that a change needs no new install; nodes are started as modules, config/ is found beside the package.
+.venv/.ready: setup.py pyproject.toml
+	$(if $(missing),$(error $(missing)))
+	@echo "Setting up .venv, once; this takes a minute or two."
+	$(if $(usable),,$(PYTHON) -m venv --clear .venv)
+	$(PY) -m pip install -qq --editable '.[jazzy,test]'
+	@touch $@
+
+.venv/.lint: .venv/.ready
+	$(PY) -m pip install -qq --editable '.[lint]'
+	@touch $@
+
+# The version of .venv's Python, and nothing where there is none or it no longer runs.
+version = import sys; print("%d.%d" % sys.version_info[:2])
+present := $(shell $(PY) -c '$(version)' 2>/dev/null)
+# An interpreter named by the user is the one to be used; else an environment that runs is good as it is.
+wanted := $(if $(filter-out file default undefined,$(origin PYTHON)),$(shell $(PYTHON) -c '$(version)' 2>/dev/null),$(present))
+usable := $(and $(present),$(filter $(present),$(wanted)))
+ifeq ($(usable),)
+.PHONY: .venv/.ready
+endif
+
+# Empty where .venv can be made, else the one sentence that says why not; make adds the full stop.
+missing = $(shell \
+	if [ "$$(uname -s) $$(uname -m)" != "Linux x86_64" ]; then \
+	  echo "ROS 2 Jazzy comes from PyPI for Linux on x86_64 only, and this machine is $$(uname -s) on $$(uname -m)"; \
+	elif ! command -v "$(PYTHON)" >/dev/null 2>&1; then \
+	  echo "$(PYTHON) was not found, and Python 3.10 to 3.14 with venv is needed (Debian, Ubuntu: apt install python3-venv)"; \
+	elif ! "$(PYTHON)" -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 14))' >/dev/null 2>&1; then \
+	  echo "$(PYTHON) is $$("$(PYTHON)" -V 2>&1 | head -n 1), and 3.10 to 3.14 is needed: name another one, as in make PYTHON=python3.12"; \
+	elif ! "$(PYTHON)" -c 'import ensurepip, venv' >/dev/null 2>&1; then \
+	  echo "$(PYTHON) cannot make an environment, its venv module is not installed (Debian, Ubuntu: apt install python3-venv)"; \
+	fi)

@@ -1,0 +1,39 @@
+"""A bag through a fresh set of estimators: `ros2 launch squeal_rig replay.launch.py bag:=FOLDER`."""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument
+from launch.conditions import IfCondition
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.substitutions import FindPackageShare
+
+ESTIMATORS = ("friction_estimator", "stability", "squeal_detector")
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Arguments and processes; everything else is in the parameters file."""
+    config = PathJoinSubstitution([FindPackageShare("squeal_rig"), "config", "rig.yaml"])
+    parameters = LaunchConfiguration("params_file")
+    started = {
+        "package": "squeal_rig",
+        "namespace": LaunchConfiguration("namespace"),
+        "output": "screen",
+    }
+    bag = {"bag": ParameterValue(LaunchConfiguration("bag"), value_type=str)}
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument("bag", description="folder or file to replay"),
+            DeclareLaunchArgument("params_file", default_value=config, description="parameters of all nodes"),
+            DeclareLaunchArgument("namespace", default_value="", description="moves the whole rig"),
+            DeclareLaunchArgument("record", default_value="false", description="write the results to a new bag"),
+            *(Node(executable=name, parameters=[parameters], **started) for name in ESTIMATORS),
+            Node(
+                executable="recorder",
+                parameters=[parameters],
+                condition=IfCondition(LaunchConfiguration("record")),
+                **started,
+            ),
+            Node(executable="player", parameters=[parameters, bag], **started),
+        ]
+    )

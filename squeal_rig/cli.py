@@ -1,0 +1,122 @@
+"""The command `squeal-rig`: argument parsing only; what each command does is imported when it runs."""
+
+from __future__ import annotations
+
+import sys
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from squeal_rig.errors import SquealRigError
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    help="A virtual test rig for brake squeal: run it, record it, analyse it.",
+)
+console = Console()
+
+BagArgument = Annotated[Path, typer.Argument(help="A bag: its folder or its .mcap file.", metavar="BAG")]
+NO_ROS = "ROS 2 is not installed here: pip install 'squeal_rig[jazzy]', or source a ROS 2 Jazzy installation"
+
+
+def _new_bag(given: Path | None) -> Path:
+    return given or Path("bags") / f"{datetime.now(timezone.utc):%Y%m%dT%H%M%SZ}"
+
+
+@app.command()
+def run(
+    config: Annotated[Path | None, typer.Option(help="Node parameters; the package's rig.yaml by default.")] = None,
+    bag: Annotated[Path | None, typer.Option(help="Bag to write; bags/<UTC stamp> by default.")] = None,
+    record: Annotated[bool, typer.Option(help="Record a bag.")] = True,
+    plan: Annotated[Path | None, typer.Option(help="Plan to run; the rig runs until Ctrl-C without.")] = None,
+    duration: Annotated[float | None, typer.Option(help="Longest run without a plan [s].", min=0.0)] = None,
+) -> None:
+    """Start the nodes as processes, show the rig live, end cleanly on Ctrl-C."""
+    from squeal_rig.experiments.checking import check_file
+    from squeal_rig.experiments.plan import load_plan
+    from squeal_rig.model.configuration import config_directory
+    from squeal_rig.nodes.session import SessionOptions, SignalWatch, run_session
+
+    parameters = config or config_directory() / "rig.yaml"
+    check_file(parameters)
+    chosen_plan = load_plan(plan) if plan is not None else None
+    options = SessionOptions(parameters, _new_bag(bag) if record else None, chosen_plan, duration)
+    result = run_session(options, console, SignalWatch())
+    failed = {name: code for name, code in result.exit_codes.items() if code != 0}
+    if options.bag is not None:
+        console.print(f"bag: {options.bag}")
+    if failed:
+        raise SquealRigError(f"nodes that did not end well, by exit code: {failed}")
+
+
+@app.command()
+def demo(
+    bag: Annotated[Path | None, typer.Option(help="Bag to write; bags/<UTC stamp> by default.")] = None,
+) -> None:
+    """From quiet sliding into squeal: a scripted run of 20 s, its bag, its replay, its picture."""
+    from squeal_rig.nodes.demo import run_demo
+
+    raise typer.Exit(run_demo(_new_bag(bag), console))
+
+
+@app.command()
+def analyse(
+    bag: BagArgument,
+    picture: Annotated[
+        Path | None, typer.Option(help="PNG to write; report.png in the bag's folder by default.")
+    ] = None,
+) -> None:
+    """Friction, squeal frequency against the eigenvalues, time off the belt: a table and a PNG."""
+    from squeal_rig.report.analysis import analyse_bag
+    from squeal_rig.report.run_figure import draw_run
+    from squeal_rig.report.tables import segment_table
+
+    analysis = analyse_bag(bag)
+    target = picture or (bag if bag.is_dir() else bag.parent) / "report.png"
+    console.print(segment_table(analysis))
+    if analysis.lost_samples:
+        console.print(f"lost samples: {analysis.lost_samples}")
+    draw_run(analysis, target)
+    console.print(f"picture: {target}")
+
+
+@app.command()
+def check(
+    file: Annotated[Path, typer.Argument(help="A parameter file, a preset or a plan.", metavar="FILE")],
+) -> None:
+    """Check a YAML file of ours; exit code 2 and one sentence when something is wrong with it."""
+    from squeal_rig.experiments.checking import check_file
+
+    console.print(f"{file}: {check_file(file)}, all in order")
+
+
+@app.command()
+def info(bag: BagArgument) -> None:
+    """What a bag holds: topics, rates, provenance, how it ended."""
+    from squeal_rig.report.bag_info import bag_info
+
+    console.print(bag_info(bag))
+
+
+def main() -> int:
+    """Run the command line; bad input is one sentence and exit code 2."""
+    try:
+        app()
+    except SquealRigError as error:
+        sys.stderr.write(f"squeal-rig: {error}\n")
+        return 2
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.split(".")[0] != "rclpy":
+            raise
+        sys.stderr.write(f"squeal-rig: {NO_ROS}\n")
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Experiments: plans as data, and the engine that runs them against a rig."""

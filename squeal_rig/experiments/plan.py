@@ -1,0 +1,91 @@
+"""Plans: an experiment as data, read from YAML and checked before anything moves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from squeal_rig.errors import ConfigurationError, ParameterError
+from squeal_rig.model.configuration import load_yaml
+from squeal_rig.model.declared import checked, declarations, unknown_name
+from squeal_rig.model.parameters import RUN_TIME_CONCERNS, RigParameters
+
+CALLS = ("reset", "impact", "zero")
+_STEP_KEYS = ("note", "set", "call", "wait")
+_LONGEST_WAIT = 86400.0
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step: set parameters, call a service of the rig, then wait [s of sampled time]; each may be left out."""
+
+    note: str = ""
+    set: Mapping[str, float | str] = field(default_factory=dict)
+    call: str = ""
+    wait: float = 0.0
+
+    @property
+    def title(self) -> str:
+        """The step in words."""
+        return self.note or ", ".join([*(f"{name} = {value}" for name, value in self.set.items()), self.call or "wait"])
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A title and its steps."""
+
+    title: str
+    steps: tuple[Step, ...]
+
+    @property
+    def duration(self) -> float:
+        """Sampled time the plan waits in all [s]."""
+        return sum(step.wait for step in self.steps)
+
+
+def load_plan(path: Path | str) -> Plan:
+    """Read and check a plan.
+
+    Raises:
+        ConfigurationError: the file or a step is not as it must be; the sentence names the step.
+    """
+    content = load_yaml(path)
+    if not isinstance(content, dict) or not isinstance(content.get("steps"), list) or not content["steps"]:
+        raise ConfigurationError(f"{path}: a plan is a mapping with a title and a list of steps")
+    for key in content:
+        if key not in ("title", "steps"):
+            raise ConfigurationError(f"{path}: unknown key {key!r}: a plan has title and steps")
+    steps = tuple(_step(f"{path}, step {number}", raw) for number, raw in enumerate(content["steps"], 1))
+    return Plan(str(content.get("title", Path(path).stem)), steps)
+
+
+def _step(where: str, raw: object) -> Step:
+    if not isinstance(raw, dict):
+        raise ConfigurationError(f"{where}: a step is a mapping of {', '.join(_STEP_KEYS)}, got {raw!r}")
+    for key in raw:
+        if key not in _STEP_KEYS:
+            raise ConfigurationError(f"{where}: unknown key {key!r}: a step has {', '.join(_STEP_KEYS)}")
+    call, wait, changes = raw.get("call", ""), raw.get("wait", 0.0), raw.get("set", {})
+    if call and call not in CALLS:
+        raise ConfigurationError(f"{where}: call = {call!r} is not known: it must be one of {', '.join(CALLS)}")
+    if isinstance(wait, bool) or not isinstance(wait, int | float) or not 0.0 <= wait <= _LONGEST_WAIT:
+        raise ConfigurationError(f"{where}: wait = {wait!r} is out of bounds: it must be 0 to {_LONGEST_WAIT:g} s")
+    if not isinstance(changes, dict):
+        raise ConfigurationError(f"{where}: set is a mapping of parameter names to values, got {changes!r}")
+    try:
+        return Step(str(raw.get("note", "")), _changes(changes), call, float(wait))
+    except ParameterError as error:
+        raise ConfigurationError(f"{where}: {error}") from None
+
+
+def _changes(raw: Mapping[str, object]) -> dict[str, float | str]:
+    known = declarations(RigParameters)
+    values = {}
+    for name, value in raw.items():
+        if name not in known:
+            raise unknown_name(str(name), known)
+        if known[name].concern not in RUN_TIME_CONCERNS:
+            raise ParameterError(f"{name} is a constant of the {known[name].concern}: it cannot change during a plan")
+        values[name] = checked(known[name], value)
+    return values

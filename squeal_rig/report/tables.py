@@ -1,0 +1,33 @@
+"""Numbers as tables for people."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from rich.markup import escape
+from rich.table import Table
+
+from squeal_rig.report.analysis import Analysis, segment_rows
+
+_FORMS = {"k [N/m]": ".3g", "k_cr [N/m]": ".3g", "margin": "+.2f", "F [N]": ".0f", "V [m/s]": ".2f"}
+_FORMS |= {"from [s]": ".1f", "to [s]": ".1f", "f squeal [Hz]": ".0f", "f eigen [Hz]": ".0f"}
+_FORMS |= {"off belt [s]": ".2f", "off belt share": ".3f"}
+
+
+def segment_table(analysis: Analysis) -> Table:
+    """The operating points of a run, one row each, columns turned into rows so that it fits a terminal."""
+    rows = list(segment_rows(analysis))
+    table = Table(title=f"Operating points of {escape(analysis.title)}", title_justify="left")
+    table.add_column("")
+    for number in range(1, len(rows) + 1):
+        table.add_column(str(number), justify="right")
+    for name in rows[0] if rows else ():
+        table.add_row(escape(name), *(_cell(name, row[name]) for row in rows))
+    return table
+
+
+def _cell(name: str, value: Any) -> str:
+    if isinstance(value, float):
+        return "-" if math.isnan(value) else format(value, _FORMS.get(name, ".4f"))
+    return str(value)
