@@ -101,7 +101,7 @@ class Motion:
         finite = rk4.advance(self._state, self._packed, self._interval, self._substeps, out)
         if finite < len(out):
             raise ModelError(
-                f"the motion left every bound {finite * self._interval:.4g} s into the block: there is no state to go on"
+                f"the motion left every bound {finite * self._interval:.4g} s into the block: no state to go on from"
             )
 
 
