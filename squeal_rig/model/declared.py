@@ -87,9 +87,9 @@ def checked(declaration: Declaration, value: object) -> Any:
         return tuple(value)
     if kind is str:
         if not isinstance(value, str):
-            raise ParameterError(f"{name} = {value!r} is not a text")
+            raise ParameterError(f"{name} = {value!r} is not a text" + _choice(declaration))
         if declaration.options and value not in declaration.options:
-            raise ParameterError(f"{name} = {value!r} is not known: it must be one of {', '.join(declaration.options)}")
+            raise ParameterError(f"{name} = {value!r} is not known" + _choice(declaration))
         return value
     expected = numbers.Integral if kind is int else numbers.Real
     if isinstance(value, bool) or not isinstance(value, expected):
@@ -102,8 +102,12 @@ def checked(declaration: Declaration, value: object) -> Any:
     if not math.isfinite(number):
         raise ParameterError(f"{name} = {number}{unit} is not finite: it must be {declaration.bounds}")
     if not declaration.lower <= number <= declaration.upper:
-        raise ParameterError(f"{name} = {number:g}{unit} is out of bounds: it must be {declaration.bounds}")
+        raise ParameterError(f"{name} = {number:.15g}{unit} is out of bounds: it must be {declaration.bounds}")
     return number
+
+
+def _choice(declaration: Declaration) -> str:
+    return f": it must be one of {', '.join(declaration.options)}" if declaration.options else ""
 
 
 def unknown_name(name: str, known: Mapping[str, object]) -> ParameterError:

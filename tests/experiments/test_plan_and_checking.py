@@ -1,0 +1,126 @@
+"""Plans and the checking of YAML files."""
+
+from pathlib import Path
+
+import pytest
+
+from squeal_rig.errors import ExperimentError, SquealRigError
+from squeal_rig.experiments.checking import NODE_PARAMETERS, check_file
+from squeal_rig.experiments.engine import run_plan
+from squeal_rig.experiments.parameter_table import parameter_table
+from squeal_rig.experiments.plan import load_plan
+from squeal_rig.model.configuration import config_directory
+from squeal_rig.model.declared import declarations
+
+ROOT = Path(__file__).parents[2]
+
+
+class Notebook:
+    """A rig that writes down what it is told; its time passes only in waits."""
+
+    def __init__(self) -> None:
+        self.log: list = []
+        self.time = 5.0
+
+    def set_parameters(self, values) -> None:
+        self.log.append(("set", dict(values), self.time))
+
+    def call(self, service: str) -> str:
+        self.log.append(("call", service, self.time))
+        return "done"
+
+    def sampled_time(self) -> float:
+        return self.time
+
+    def wait_until(self, sampled_time: float) -> None:
+        self.time = sampled_time + 0.013  # a block later than asked for
+
+
+def test_waits_are_counted_from_the_step_before_and_do_not_drift(tmp_path):
+    path = tmp_path / "plan.yaml"
+    path.write_text("title: t\nsteps:\n- {set: {preload: 100}, wait: 1.0}\n- {call: impact, wait: 2.0}\n- {wait: 1}\n")
+    rig = Notebook()
+    records = run_plan(load_plan(path), rig)
+    assert [(record.begin, record.end) for record in records] == [(5.0, 6.0), (6.0, 8.0), (8.0, 9.0)]
+    assert rig.log == [("set", {"preload": 100.0}, 5.0), ("call", "impact", 6.013)]
+    assert records[1].answer == "done"
+
+
+def test_a_refusal_ends_the_plan(tmp_path):
+    class Refusing(Notebook):
+        def call(self, service: str) -> str:
+            raise ExperimentError("the rig refused reset: not active")
+
+    path = tmp_path / "plan.yaml"
+    path.write_text("steps:\n- {call: reset}\n")
+    with pytest.raises(ExperimentError, match="not active"):
+        run_plan(load_plan(path), Refusing())
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("steps: []", "a plan is a mapping with a title and a list of steps"),
+        ("steps: [3]", "step 1: a step is a mapping"),
+        ("steps: [{wait: -1}]", "step 1: wait = -1 is out of bounds: it must be 0 to 86400 s"),
+        ("steps: [{wait: .nan}]", "step 1: wait = nan is out of bounds"),
+        ("steps: [{wait: soon}]", "step 1: wait = 'soon' is out of bounds"),
+        ("steps: [{wait: 1}, {call: dance}]", "step 2: call = 'dance' is not known: it must be one of reset"),
+        ("steps: [{set: {preload: -1}}]", "step 1: preload = -1 N is out of bounds: it must be 0 to 2000 N"),
+        ("steps: [{set: {preloud: 1}}]", "unknown parameter 'preloud': did you mean 'preload'?"),
+        ("steps: [{set: {mass: 1}}]", "mass is a constant of the machine"),
+        ("steps: [{say: hello}]", "unknown key 'say'"),
+        ("steps: [{wait: 1}]\nspeed: 3", "unknown key 'speed'"),
+    ],
+)
+def test_a_bad_plan_is_refused_with_its_place(tmp_path, text, sentence):
+    path = tmp_path / "plan.yaml"
+    path.write_text(text)
+    with pytest.raises(SquealRigError) as refused:
+        load_plan(path)
+    assert sentence in str(refused.value)
+    assert str(path) in str(refused.value)
+
+
+@pytest.mark.parametrize("path", sorted(config_directory().rglob("*.yaml")), ids=lambda path: path.stem)
+def test_every_file_we_ship_is_in_order(path):
+    assert check_file(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("/**/rig:\n  ros__parameters: {mass: -1.0}", "mass = -1 kg is out of bounds"),
+        ("/**/rig:\n  ros__parameters: {sample_rate: 51234}", "must be a multiple of 100 Hz"),
+        ("/**/rig:\n  ros__parameters: {belt_speed: 10, preload: 300}", "the friction law gives mu"),
+        ("/**/rig:\n  ros__parameters: {preset: nobody}", "no preset 'nobody': there are yavuz_sen_2023"),
+        ("/**/rig:\n  parameters: {mass: 1}", "holds ros__parameters and nothing else"),
+        ("/**/rigg:\n  ros__parameters: {mass: 1}", "no node 'rigg'"),
+        ("rig:\n  ros__parameters: {mass: 1.0}", "write /**/rig"),
+        ("/**/squeal_detector:\n  ros__parameters: {band_low: 9000}", "band_low = 9000 Hz must be below"),
+        ("/**/player:\n  ros__parameters: {topics: daq}", "topics = 'daq' is not a list of texts"),
+        ("- 1\n- 2", "expected a mapping"),
+    ],
+)
+def test_a_bad_parameter_file_is_refused_with_a_sentence(tmp_path, text, sentence):
+    path = tmp_path / "rig.yaml"
+    path.write_text(text)
+    with pytest.raises(SquealRigError) as refused:
+        check_file(path)
+    assert sentence in str(refused.value)
+
+
+def test_integers_are_taken_where_floats_are_meant(tmp_path):
+    path = tmp_path / "rig.yaml"
+    path.write_text("/**/rig:\n  ros__parameters: {preload: 300, k1: 6e7, use_sim_time: true}")
+    assert check_file(path) == "parameters of rig"
+
+
+def test_the_table_in_the_docs_is_that_of_the_code():
+    assert (ROOT / "docs" / "parameters.md").read_text() == parameter_table()
+
+
+def test_no_name_is_declared_twice_for_one_node():
+    for node, kinds in NODE_PARAMETERS.items():
+        names = [name for kind in kinds for name in declarations(kind)]
+        assert len(names) == len(set(names)), node
