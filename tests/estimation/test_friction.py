@@ -48,7 +48,7 @@ def test_steady_sliding_gives_the_law_within_a_tenth_of_a_percent(preload: float
 def test_in_squeal_the_mean_of_ratios_is_biased_and_the_ratio_of_means_is_not():
     # The bias at k = 4e7, F = 300 N, c = 20 N s/m is published nowhere; a fast simulator gave 2.41 against 0.8004.
     p = DAMPED.replace(preload=300.0)
-    values = windows_of(p, blocks_of(p, 120, impact=True))[-1].values
+    values = windows_of(p, blocks_of(p, 260, impact=True))[-1].values  # settled after some 2 s
     assert 2.2 < values["mu"] < 2.6
     assert values["mu_ratio_of_means"] == pytest.approx(values["mu_true"], rel=0.01)
     assert values["difference"] == pytest.approx(values["mu"] - values["mu_true"])
