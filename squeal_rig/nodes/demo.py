@@ -14,7 +14,7 @@ from squeal_rig.report.analysis import analyse_bag
 from squeal_rig.report.run_figure import draw_run
 from squeal_rig.report.tables import segment_table
 
-_REPLAY_RATE = 4.0
+_REPLAY_RATE = 2.0
 
 
 def run_demo(bag: Path, console: Console) -> int:

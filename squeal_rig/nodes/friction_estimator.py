@@ -44,8 +44,8 @@ class FrictionEstimatorNode(Node):
         self._samples = self.create_publisher(PointCloud2, "friction/samples", qos.BLOCKS)
         self._model = self.create_publisher(Float64MultiArray, "friction/model", qos.LATCHED)
         RigFollower(self, self._on_rig)
-        self.create_subscription(PointCloud2, "daq/samples", self._on_daq, qos.BLOCKS, raw=True)
-        self.create_subscription(PointCloud2, "truth/samples", self._on_truth, qos.BLOCKS, raw=True)
+        self.create_subscription(PointCloud2, "daq/samples", self._on_daq, qos.BLOCKS_IN, raw=True)
+        self.create_subscription(PointCloud2, "truth/samples", self._on_truth, qos.BLOCKS_IN, raw=True)
         HealthPublisher(self, self._health)
 
     def _on_rig(self, rig: RigDescription) -> None:

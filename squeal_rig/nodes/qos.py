@@ -5,6 +5,10 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 #: Blocks of samples and what follows them one to one: 100 a second.
 BLOCKS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=100, reliability=ReliabilityPolicy.RELIABLE)
 
+#: The same, as those who work on every block take them: a node that is held up for some seconds, or follows a replay
+#: faster than real time, loses nothing.
+BLOCKS_IN = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=400, reliability=ReliabilityPolicy.RELIABLE)
+
 #: Windows, states, health: at most some ten a second.
 EVENTS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=20, reliability=ReliabilityPolicy.RELIABLE)
 

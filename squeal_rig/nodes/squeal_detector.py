@@ -34,7 +34,7 @@ class SquealDetectorNode(Node):
         self._watch = DataWatch("daq/samples")
         self._publisher = self.create_publisher(DiagnosticArray, "squeal/state", qos.EVENTS)
         RigFollower(self, self._on_rig)
-        self.create_subscription(PointCloud2, "daq/samples", self._on_daq, qos.BLOCKS, raw=True)
+        self.create_subscription(PointCloud2, "daq/samples", self._on_daq, qos.BLOCKS_IN, raw=True)
         HealthPublisher(self, self._health)
 
     def _on_rig(self, rig: RigDescription) -> None:

@@ -144,7 +144,6 @@ class _Analyser:
         self._squeal = SquealDetector(self._rate, SquealSettings())
         self._course = Course()
         self._segments: list[Segment] = []
-        self._expected_stamp: int | None = None
         self._samples_end = self._origin
 
     def add(self, block: RecordedBlock) -> None:
@@ -172,15 +171,13 @@ class _Analyser:
             self._course.windows.append({**window.values, **times})
 
     def _segment_of(self, block: RecordedBlock, begin: float) -> Segment:
-        """The segment the block belongs to: a new one when the operating point, t0 or squeal has changed."""
+        """The segment the block belongs to: a new one when the operating point or squeal has changed."""
         p = block.rig.parameters.replace(
             preload=float(block.daq["preload"][0]), belt_speed=float(block.daq["belt_speed"][0])
         )
-        jumped = self._expected_stamp is not None and abs(block.stamp - self._expected_stamp) > 1000
-        self._expected_stamp = block.stamp + len(block.daq) * 10**9 // self._rate
         squealing = self._squeal.state.detected
         last = self._segments[-1] if self._segments else None
-        if last is None or jumped or p != last.parameters or squealing != last.squealing:
+        if last is None or p != last.parameters or squealing != last.squealing:
             last = Segment(begin, p, squealing, sample_rate=float(self._rate))
             self._segments.append(last)
         return last
