@@ -16,7 +16,12 @@ class FrictionSettings(Declared):
         0.2, "length T of the windows of Eq. (2.2)", unit="s", lower=0.001, upper=60.0, read_only=True
     )
     minimum_normal_load: float = quantity(
-        10.0, "denominator of Eq. (2.1) below which a sample is not valid", unit="N", lower=1e-6, upper=1e6
+        10.0,
+        "denominator of Eq. (2.1) below which a sample is not valid",
+        unit="N",
+        lower=1e-6,
+        upper=1e6,
+        read_only=True,
     )
 
 

@@ -54,7 +54,9 @@ def run_node(factory: Callable[[Lifetime], Node], args: Sequence[str] | None = N
         node = factory(lifetime)
     except (SquealRigError, InvalidNodeNameException, InvalidNamespaceException) as error:
         return _refused(str(error))
-    except (rclpy_implementation.RCLError, rclpy_implementation.UnknownROSArgsError) as error:
+    except rclpy_implementation.UnknownROSArgsError as error:
+        return _refused(f"unknown argument after --ros-args: {error}")
+    except rclpy_implementation.RCLError as error:
         return _refused(_first_sentence(str(error)))
     try:
         executor = SingleThreadedExecutor()

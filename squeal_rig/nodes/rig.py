@@ -5,33 +5,25 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Sequence
-from typing import TypeVar
 
-from geometry_msgs.msg import WrenchStamped
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.timer import Timer
-from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import JointState, PointCloud2
-from std_msgs.msg import String
-from std_srvs.srv import SetBool, Trigger
 
-from squeal_rig.errors import SquealRigError
-from squeal_rig.instruments.acquisition import Acquisition, Block, change_refusal
+from squeal_rig.errors import DriverError, ParameterError, SquealRigError
+from squeal_rig.instruments.acquisition import Acquisition, change_refusal
 from squeal_rig.instruments.description import RigDescription
 from squeal_rig.instruments.driver import make_driver
-from squeal_rig.instruments.means import block_means
 from squeal_rig.instruments.pacing import Pacer
 from squeal_rig.instruments.settings import PresetChoice, RigSettings
 from squeal_rig.model.declared import Declared
 from squeal_rig.model.friction import friction_refusal
 from squeal_rig.model.parameters import RigParameters
-from squeal_rig.nodes import qos
-from squeal_rig.nodes.conversions import ERROR, OK, WARN, cloud, joint_state, time_message, wrench
+from squeal_rig.nodes.conversions import ERROR, OK, WARN
 from squeal_rig.nodes.health import Health, HealthPublisher
 from squeal_rig.nodes.lifetime import STEADY, Lifetime, run_node
 from squeal_rig.nodes.parameters import NODE_OPTIONS, DeclaredParameters, overrides
-
-Response = TypeVar("Response", Trigger.Response, SetBool.Response)
+from squeal_rig.nodes.rig_outputs import RigOutputs
+from squeal_rig.nodes.rig_services import offer_services
 
 
 class RigNode(LifecycleNode):
@@ -43,36 +35,27 @@ class RigNode(LifecycleNode):
         preset = PresetChoice.from_mapping({k: v for k, v in overrides(self).items() if k == "preset"})
         base = RigParameters.preset(preset.preset)
         self._declared = DeclaredParameters(self, (preset, base, RigSettings()), self._refuse, self._apply)
+        sentence = friction_refusal(self._declared.group(RigParameters))
+        if sentence:
+            raise ParameterError(f"rig: {sentence}")
         self._settings: RigSettings = self._declared.group(RigSettings)
         self._driver_name = fixed_driver or self._settings.driver
-        self._check_operating_point()
+        self._driver = make_driver(self._driver_name)
         self._acquisition: Acquisition | None = None
+        self._samples = 0
         self._pacer = Pacer(self._settings.real_time_factor)
         self._timer: Timer | None = None
         self._active = self._paused = False
         self._fault = ""
         self._warnings: tuple[str, ...] = ()
-        self._next_stamp: int | None = None
-        self._make_interfaces()
+        self._outputs = RigOutputs(self, self._driver.publishes_truth, self._settings.real_time_factor != 1.0)
+        offer_services(self, self)
         HealthPublisher(self, self._health)
         if self._settings.autostart:
             self.trigger_configure()
             self.trigger_activate()
             if self._fault:
-                raise SquealRigError(f"rig: {self._fault}")
-
-    def _make_interfaces(self) -> None:
-        self._daq = self.create_publisher(PointCloud2, "daq/samples", qos.BLOCKS)
-        self._truth = self.create_publisher(PointCloud2, "truth/samples", qos.BLOCKS)
-        self._state = self.create_publisher(JointState, "pad/state", qos.BLOCKS)
-        self._wrench = self.create_publisher(WrenchStamped, "contact/wrench", qos.BLOCKS)
-        self._description = self.create_publisher(String, "rig/description", qos.LATCHED)
-        self._clock_publisher = (
-            self.create_publisher(Clock, "/clock", qos.BLOCKS) if self._settings.real_time_factor != 1.0 else None
-        )
-        for name, action in (("reset", self._reset), ("impact", self._impact), ("zero", self._zero)):
-            self.create_service(Trigger, f"~/{name}", action)
-        self.create_service(SetBool, "~/pause", self._pause)
+                raise DriverError(f"rig: {self._fault}")
 
     # --- lifecycle
 
@@ -105,6 +88,7 @@ class RigNode(LifecycleNode):
         self._stop_timer()
         self._active = False
         if self._acquisition is not None:
+            self._samples = self._acquisition.samples
             self._acquisition.close()
             self._acquisition = None
 
@@ -117,11 +101,10 @@ class RigNode(LifecycleNode):
         return TransitionCallbackReturn.SUCCESS
 
     def _open(self) -> None:
-        driver = make_driver(self._driver_name)
-        samples = self._acquisition.samples if self._acquisition is not None else 0
-        self._acquisition = Acquisition(driver, self._declared.group(RigParameters), self._settings)
-        self._acquisition.samples = samples
-        self._publish_description()
+        self.close()
+        self._acquisition = Acquisition(self._driver, self._declared.group(RigParameters), self._settings)
+        self._acquisition.samples = self._samples
+        self._outputs.describe(self._description())
 
     def _activate(self) -> None:
         self._open()
@@ -131,13 +114,9 @@ class RigNode(LifecycleNode):
     # --- sampling
 
     def _restart(self) -> None:
-        """Start sampling from now on: the stamps' t0 is set anew."""
+        """Sample from now on: the stamps' t0 is set anew."""
         self._stop_timer()
-        stamp = self.get_clock().now().nanoseconds
-        if self._clock_publisher is not None and self._next_stamp is not None:
-            stamp = self._next_stamp  # simulated time goes on where it stopped
-        assert self._acquisition is not None
-        self._acquisition.start(stamp)
+        self._sampled().start(self._outputs.restart_stamp(self.get_clock().now().nanoseconds))
         self._pacer.start(time.monotonic())
         # The timer starts after the pacer, so that each shot finds its block due.
         self._timer = self.create_timer(self._pacer.period, self._step, clock=STEADY)
@@ -148,30 +127,21 @@ class RigNode(LifecycleNode):
             self._timer = None
 
     def _step(self) -> None:
-        if self._acquisition is None or self._lifetime.stopping:
+        acquisition = self._acquisition
+        if acquisition is None or self._lifetime.stopping:
             return
         count, overrun = self._pacer.due(time.monotonic())
         if overrun:
-            self.get_logger().warning("fell behind real time: samples skipped, t0 set anew")
-            self._acquisition.start(self.get_clock().now().nanoseconds)
+            self.get_logger().warning("fell behind real time: time skipped, t0 set anew")
+            acquisition.start(self.get_clock().now().nanoseconds)
         try:
             for _ in range(count):
-                self._publish(self._acquisition.next_block())
+                block = acquisition.next_block()
+                self._outputs.publish(block, acquisition.in_force, self._settings.drum_radius)
+                self._warnings = block.warnings or self._warnings
         except SquealRigError as error:
             self._stop_timer()
             self._fail(f"{error}; call ~/reset to start again")
-
-    def _publish(self, block: Block) -> None:
-        self._daq.publish(cloud(block.daq, block.stamp))
-        if block.truth is not None:
-            self._truth.publish(cloud(block.truth, block.stamp))
-        means = block_means(block, self._declared.group(RigParameters), self._settings.drum_radius)
-        self._state.publish(joint_state(block.stamp, means.position, means.velocity))
-        self._wrench.publish(wrench(block.stamp, means.tangential, means.normal))
-        self._next_stamp = block.stamp + 10_000_000
-        if self._clock_publisher is not None:
-            self._clock_publisher.publish(Clock(clock=time_message(self._next_stamp)))
-        self._warnings = block.warnings or self._warnings
 
     def _fail(self, sentence: str) -> None:
         self._fault = sentence
@@ -182,67 +152,51 @@ class RigNode(LifecycleNode):
     def _refuse(self, name: str, now: Declared, wanted: Declared) -> str | None:
         if not isinstance(wanted, RigParameters):
             return None
-        if self._active and getattr(now, name) != getattr(wanted, name):
-            sentence = change_refusal(name)
-            if sentence:
-                return sentence
-        return friction_refusal(wanted)
-
-    def _check_operating_point(self) -> None:
-        sentence = friction_refusal(self._declared.group(RigParameters))
-        if sentence:
-            raise SquealRigError(f"rig: {sentence}")
+        changed = getattr(now, name) != getattr(wanted, name)
+        return (change_refusal(name) if self._active and changed else None) or friction_refusal(wanted)
 
     def _apply(self) -> None:
         self._settings = self._declared.group(RigSettings)
         if self._acquisition is not None:
             self._acquisition.settings = self._settings
             self._acquisition.set_point = self._declared.group(RigParameters)
-        self._publish_description()
+        self._outputs.describe(self._description())
 
-    def _description_now(self) -> RigDescription:
-        acquisition = self._acquisition
+    def _description(self) -> RigDescription:
         return RigDescription(
             parameters=self._declared.group(RigParameters),
             preset=self._declared.group(PresetChoice).preset,
             driver=self._driver_name,
-            publishes_truth=acquisition is None or acquisition.publishes_truth,
+            publishes_truth=self._driver.publishes_truth,
             sample_rate=self._settings.sample_rate,
             drum_radius=self._settings.drum_radius,
-            tare=acquisition.tare if acquisition is not None else {},
+            tare=self._acquisition.tare if self._acquisition is not None else {},
         )
 
-    def _publish_description(self) -> None:
-        self._description.publish(String(data=self._description_now().to_yaml()))
+    # --- operations, offered as services
 
-    # --- services
-
-    def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return self._serve(response, self._do_reset)
-
-    def _do_reset(self, acquisition: Acquisition) -> str:
-        acquisition.reset()
+    def reset(self) -> str:
+        """Pad at rest at the equilibrium of what is in force; tare and fault forgotten."""
+        self._sampled().reset()
         self._fault, self._warnings = "", ()
-        self._publish_description()
+        self._outputs.describe(self._description())
         if not self._paused:
             self._restart()
         return "the pad rests at the equilibrium of what is in force; tare forgotten"
 
-    def _impact(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return self._serve(response, lambda rig: "hit the pad with ({:.4g}, {:.4g}) N s".format(*rig.impact()))
+    def impact(self) -> str:
+        """Hit the pad."""
+        return "hit the pad with ({:.4g}, {:.4g}) N s".format(*self._sampled().impact())
 
-    def _zero(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return self._serve(response, self._do_zero)
-
-    def _do_zero(self, acquisition: Acquisition) -> str:
-        offsets = ", ".join(f"{channel} {value:.6g}" for channel, value in acquisition.zero().items())
-        self._publish_description()
+    def zero(self) -> str:
+        """Tare the force channels."""
+        offsets = ", ".join(f"{channel} {value:.6g}" for channel, value in self._sampled().zero().items())
+        self._outputs.describe(self._description())
         return f"subtracted from now on, in N and N m: {offsets}; Eq. (2.1) needs forces tared on the unloaded rig"
 
-    def _pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        return self._serve(response, lambda rig: self._do_pause(request.data))
-
-    def _do_pause(self, pause: bool) -> str:
+    def pause(self, pause: bool) -> str:
+        """Stop sampling for a while, or go on."""
+        self._sampled()
         if pause == self._paused:
             return "paused already" if pause else "running already"
         self._paused = pause
@@ -252,15 +206,10 @@ class RigNode(LifecycleNode):
             self._restart()
         return "paused" if pause else "running"
 
-    def _serve(self, response: Response, action: Callable[[Acquisition], str]) -> Response:
+    def _sampled(self) -> Acquisition:
         if self._acquisition is None or not self._active:
-            response.success, response.message = False, "the rig is not active: activate it first"
-            return response
-        try:
-            response.success, response.message = True, action(self._acquisition)
-        except SquealRigError as error:
-            response.success, response.message = False, str(error)
-        return response
+            raise DriverError("the rig is not active: activate it first")
+        return self._acquisition
 
     # --- health
 
@@ -268,7 +217,7 @@ class RigNode(LifecycleNode):
         acquisition = self._acquisition
         values = {
             "driver": self._driver_name,
-            "samples": acquisition.samples if acquisition is not None else 0,
+            "samples": acquisition.samples if acquisition is not None else self._samples,
             "overruns": self._pacer.overruns,
             "skipped [s]": round(self._pacer.skipped_seconds, 3),
             "tared": bool(acquisition is not None and acquisition.tare),
