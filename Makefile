@@ -5,7 +5,7 @@ PY := .venv/bin/python
 # Given after the command of a target, as in: make test ARGS="-k friction"
 ARGS ?=
 
-.PHONY: help demo test lint bench docs clean
+.PHONY: help demo test lint docs clean
 .DEFAULT_GOAL := help
 
 # A ROS installation or another environment around us would mix its libraries with ours.
@@ -16,7 +16,6 @@ help:
 	@echo "make demo    run the rig from quiet sliding into squeal; leaves a bag and a picture in bags/"
 	@echo "make test    run the tests (ARGS: options for pytest)"
 	@echo "make lint    check style, types and imports"
-	@echo "make bench   measure speed (ARGS: options for pytest)"
 	@echo "make docs    write docs/parameters.md anew from the code"
 	@echo "make clean   remove .venv, caches and build output; recordings stay"
 	@echo "Another Python: make PYTHON=python3.12 ..."
@@ -26,9 +25,6 @@ demo: .venv/.ready
 
 test: .venv/.ready
 	$(PY) -m pytest $(ARGS)
-
-bench: .venv/.ready
-	$(PY) -m pytest -m bench $(ARGS)
 
 lint: .venv/.lint
 	.venv/bin/ruff check .
@@ -41,7 +37,7 @@ docs: .venv/.ready
 
 clean:
 	rm -rf .venv build install log dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .import_linter_cache
-	rm -rf .hypothesis .benchmarks
+	rm -rf .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # --- the environment -------------------------------------------------------------------------------------
