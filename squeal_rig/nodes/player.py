@@ -5,28 +5,32 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from collections.abc import Sequence
-from itertools import chain
+from collections.abc import Callable, Sequence
 
 from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
+from std_srvs.srv import Trigger
 
 from squeal_rig.errors import RecordingError
+from squeal_rig.model.declared import Declared
 from squeal_rig.nodes import qos
-from squeal_rig.nodes.conversions import OK, time_message
+from squeal_rig.nodes.conversions import OK, WARN, time_message
 from squeal_rig.nodes.health import Health, HealthPublisher
 from squeal_rig.nodes.interfaces import message_class, replayed_qos
 from squeal_rig.nodes.lifetime import Lifetime, run_node
 from squeal_rig.nodes.parameters import NODE_OPTIONS, DeclaredParameters
 from squeal_rig.recording import Bag, RawMessage
-from squeal_rig.recording.replay import ReplaySchedule, matching_topics
+from squeal_rig.recording.replay import matching_topics, remapped
 from squeal_rig.recording.settings import PlayerSettings
+from squeal_rig.recording.transport import Transport
 
 _WAIT_STEP = 0.02
 _CLOCK_PERIOD = 0.01
 _ACKNOWLEDGE_TIMEOUT = 2.0
+_CLOCK = "/clock"
 
 
 class PlayerNode(Node):
@@ -35,40 +39,79 @@ class PlayerNode(Node):
     def __init__(self, lifetime: Lifetime) -> None:
         super().__init__("player", **NODE_OPTIONS)
         self._lifetime = lifetime
-        self._settings: PlayerSettings = DeclaredParameters(self, (PlayerSettings(),)).group(PlayerSettings)
-        if not self._settings.bag:
+        self._transport: Transport | None = None
+        self._declared = DeclaredParameters(self, (PlayerSettings(),), refuse=self._refuse)
+        settings = self._settings
+        if not settings.bag:
             raise RecordingError("player: bag is empty: give the folder or .mcap file to play")
-        self._bag = Bag(self._settings.bag)
-        topics = matching_topics(self._bag.topics, self._settings.topics)
-        if not topics:
-            raise RecordingError(f"player: no topic of {self._settings.bag} matches {', '.join(self._settings.topics)}")
-        self._outputs: dict[str, Publisher] = {
-            topic: self.create_publisher(
-                message_class(self._bag.topics[topic].type_name),
-                topic,
-                replayed_qos(self._bag.topics[topic].qos),
-            )
-            for topic in topics
-        }
-        self._clock_publisher = self.create_publisher(Clock, "/clock", qos.BLOCKS) if self._settings.clock else None
+        self._bag = Bag(settings.bag)
+        self._skipped: dict[str, str] = {}
+        self._outputs = self._publishers()
+        self._transport = Transport(
+            self._bag, self._outputs, settings.rate, settings.max_rate * 1e6, settings.start_offset
+        )
+        self._transport.loop = settings.loop
+        if settings.start_paused:
+            self._transport.pause()
+        self._clock_publisher = self.create_publisher(Clock, _CLOCK, qos.BLOCKS) if settings.clock else None
         self._clock_published = -1.0
-        self._published = 0
         self._ending = threading.Event()
+        self.add_post_set_parameters_callback(self._apply)
+        for name, action in (("pause", self._pause), ("resume", self._resume), ("step", self._step)):
+            self.create_service(Trigger, f"~/{name}", self._serves(action))
         HealthPublisher(self, self._health)
         self._thread = threading.Thread(target=self._play, name="player")
         self._thread.start()
 
+    @property
+    def _settings(self) -> PlayerSettings:
+        settings: PlayerSettings = self._declared.group(PlayerSettings)
+        return settings
+
+    def _publishers(self) -> dict[str, Publisher]:
+        """A publisher for each recorded topic that is played, by its recorded name."""
+        settings, topics = self._settings, self._bag.topics
+        chosen = matching_topics(topics, settings.topics)
+        if settings.clock:
+            chosen = [topic for topic in chosen if topic != _CLOCK]  # one source of time is enough
+        names = remapped(chosen, settings.remap)
+        outputs = {}
+        for topic in chosen:
+            try:
+                if topics[topic].serialization_format != "cdr":
+                    raise RecordingError(f"it is stored as {topics[topic].serialization_format!r}, not as cdr")
+                kind = message_class(topics[topic].type_name)
+            except RecordingError as error:
+                self._skipped[topic] = str(error)
+                self.get_logger().warning(f"{topic} is not played: {error}")
+                continue
+            outputs[topic] = self.create_publisher(kind, names[topic], replayed_qos(topics[topic].qos))
+        if not outputs:
+            why = "; ".join(f"{topic}: {reason}" for topic, reason in self._skipped.items())
+            raise RecordingError(
+                f"player: no topic of {settings.bag} matches {', '.join(settings.topics)}"
+                + (f" ({why})" if why else "")
+            )
+        return outputs
+
+    # --- the thread
+
     def _play(self) -> None:
+        assert self._transport is not None
         try:
             self._wait_for_subscribers()
-            self._publish_all()
+            self._transport.run(self._publish, self._tick)
             for publisher in self._outputs.values():
                 publisher.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGE_TIMEOUT))
         except RecordingError as error:
             self.get_logger().error(str(error))
             self._lifetime.stop(1)
+        except Exception as error:
+            if not self._ending.is_set():  # a context that is being shut down refuses to publish
+                self.get_logger().error(f"{type(error).__name__}: {error}")
+                self._lifetime.stop(1)
         else:
-            self.get_logger().info(f"played {self._published} messages")
+            self.get_logger().info(f"played {self._transport.published} messages")
             self._lifetime.stop()
 
     def _wait_for_subscribers(self) -> None:
@@ -82,33 +125,81 @@ class PlayerNode(Node):
                 if self._ending.wait(_WAIT_STEP):
                     return
 
-    def _publish_all(self) -> None:
-        messages = self._bag.messages(list(self._outputs))
-        first = next(messages, None)
-        if first is None:
-            return
-        schedule = ReplaySchedule(first.log_time, self._settings.rate, self._settings.max_rate * 1e6)
-        start = time.monotonic()
-        for message in chain((first,), messages):
-            due = start + schedule.due(message.log_time, len(message.data))
-            if self._ending.wait(max(0.0, due - time.monotonic())) or self._lifetime.stopping:
-                return
-            self._publish(message)
-
     def _publish(self, message: RawMessage) -> None:
+        self._outputs[message.topic].publish(message.data)
+
+    def _tick(self, log_time: int) -> None:
         now = time.monotonic()
         if self._clock_publisher is not None and now - self._clock_published >= _CLOCK_PERIOD:
             self._clock_published = now
-            self._clock_publisher.publish(Clock(clock=time_message(message.log_time)))
-        self._outputs[message.topic].publish(message.data)
-        self._published += 1
+            self._clock_publisher.publish(Clock(clock=time_message(log_time)))
+
+    # --- parameters and services
+
+    def _refuse(self, name: str, _now: Declared, wanted: Declared) -> str | None:
+        if name == "seek_to" and self._transport is not None and isinstance(wanted, PlayerSettings):
+            try:
+                self._transport.log_time(wanted.seek_to)
+            except RecordingError as error:
+                return f"seek_to: {error}"
+        return None
+
+    def _apply(self, changes: list[Parameter]) -> None:
+        if self._transport is None:
+            return
+        for change in changes:
+            if change.name == "seek_to":
+                self._transport.seek(float(change.value))
+            elif change.name == "rate":
+                self._transport.set_rate(float(change.value))
+            elif change.name == "loop":
+                self._transport.loop = bool(change.value)
+
+    def _pause(self, transport: Transport) -> str:
+        transport.pause()
+        return f"paused at {transport.position:.3f} s"
+
+    def _resume(self, transport: Transport) -> str:
+        transport.resume()
+        return f"playing from {transport.position:.3f} s"
+
+    def _step(self, transport: Transport) -> str:
+        transport.step()
+        return "the next message is played"
+
+    def _serves(
+        self, action: Callable[[Transport], str]
+    ) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:
+        def serve(_request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            assert self._transport is not None
+            try:
+                response.success, response.message = True, action(self._transport)
+            except RecordingError as error:
+                response.success, response.message = False, str(error)
+            return response
+
+        return serve
 
     def _health(self) -> Health:
-        return OK, "playing", {"messages": self._published, "of": self._bag.message_count}
+        assert self._transport is not None
+        transport = self._transport
+        values = {
+            "messages": transport.published,
+            "of": sum(self._bag.topics[topic].message_count for topic in self._outputs),
+            "position [s]": round(transport.position, 3),
+            "loops": transport.loops,
+            "worst lateness [ms]": round(transport.worst_lateness * 1e3, 3),
+        }
+        state = "paused" if transport.paused else "playing"
+        if self._skipped:
+            return WARN, f"{state}; not played: {', '.join(sorted(self._skipped))}", values
+        return OK, state, values
 
     def close(self) -> None:
         """Stop playing."""
         self._ending.set()
+        if self._transport is not None:
+            self._transport.stop()
         self._thread.join()
 
 

@@ -1,26 +1,32 @@
-"""Node `recorder`: writes chosen topics as raw CDR to a rosbag2-compatible MCAP bag."""
+"""Node `recorder`: writes topics as raw CDR to a rosbag2-compatible MCAP bag, all the time or around a squeal."""
 
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable, Sequence
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
+from std_srvs.srv import Trigger
 
 from squeal_rig.errors import RecordingError
-from squeal_rig.nodes.conversions import ERROR, OK, WARN
+from squeal_rig.nodes import qos
+from squeal_rig.nodes.conversions import ERROR, OK, WARN, status_values
 from squeal_rig.nodes.health import Health, HealthPublisher
-from squeal_rig.nodes.interfaces import message_class, offered_qos, requested_qos
 from squeal_rig.nodes.lifetime import STEADY, Lifetime, run_node
+from squeal_rig.nodes.parameter_watch import ParameterWatch, Values
 from squeal_rig.nodes.parameters import NODE_OPTIONS, DeclaredParameters
-from squeal_rig.recording import BagWriter, ChannelHandle, provenance
+from squeal_rig.nodes.subscriptions import Taken, TopicSubscriptions
+from squeal_rig.recording import QosProfile
+from squeal_rig.recording.session import RecordingSession
 from squeal_rig.recording.settings import RecorderSettings
 
-_DISCOVERY_PERIOD = 0.1
 _FLUSH_PERIOD = 0.25
+_RUN_FACTS = ("preset", "seed")  # parameters of the rig that tell what a run was
 
 
 class RecorderNode(Node):
@@ -29,84 +35,143 @@ class RecorderNode(Node):
     def __init__(self, lifetime: Lifetime) -> None:
         super().__init__("recorder", **NODE_OPTIONS)
         self._lifetime = lifetime
-        settings: RecorderSettings = DeclaredParameters(self, (RecorderSettings(),)).group(RecorderSettings)
-        directory = Path(settings.directory or f"bags/{datetime.now(timezone.utc):%Y%m%dT%H%M%SZ}")
-        self._every = "*" in settings.topics
-        self._wanted = {self.resolve_topic_name(topic) for topic in settings.topics if topic != "*"}
-        self._writer = BagWriter(directory, compression=settings.compression, custom_data=provenance())
-        self._directory = directory
-        self._recorded: set[str] = set()
-        self._unknown: set[str] = set()
-        self._fault = ""
-        self.create_timer(_DISCOVERY_PERIOD, self._discover, clock=STEADY)
+        self._declared = DeclaredParameters(self, (RecorderSettings(),))
+        self._session = RecordingSession(self._settings, default_directory)
+        self._squealing = False
+        self._snapshot_due: float | None = None
+        if self._settings.autostart:
+            self._session.start(self._now())
+        self._topics = TopicSubscriptions(self, self._settings.topics, self._found)
+        self._watch = ParameterWatch(self, self._on_parameters, self._on_change)
         self.create_timer(_FLUSH_PERIOD, self._flush, clock=STEADY)
+        self.create_subscription(DiagnosticArray, "squeal/state", self._on_squeal, qos.EVENTS)
+        for name, action in (
+            ("start", self._start),
+            ("stop", self._stop),
+            ("split", self._session.split),
+            ("snapshot", lambda: self._session.snapshot("on request", self._now())),
+        ):
+            self.create_service(Trigger, f"~/{name}", self._serves(action))
         HealthPublisher(self, self._health)
-        self._discover()
-        self.get_logger().info(f"recording to {directory}")
+        self._topics.discover()
+        self.get_logger().info(self._session.state)
 
-    def _discover(self) -> None:
-        """Subscribe to wanted topics that have a publisher by now."""
-        for topic, types in self.get_topic_names_and_types():
-            if topic in self._recorded or not (self._every or topic in self._wanted):
-                continue
-            offered = [offered_qos(endpoint) for endpoint in self.get_publishers_info_by_topic(topic)]
-            if not offered:
-                continue
-            self._recorded.add(topic)
-            try:
-                handle = self._writer.add_topic(topic, types[0], offered)
-                self.create_subscription(
-                    message_class(types[0]), topic, self._writes(handle), requested_qos(offered), raw=True
-                )
-            except RecordingError as error:
-                self._unknown.add(topic)
-                self.get_logger().warning(f"{topic} is not recorded: {error}")
+    @property
+    def _settings(self) -> RecorderSettings:
+        settings: RecorderSettings = self._declared.group(RecorderSettings)
+        return settings
 
-    def _writes(self, handle: ChannelHandle) -> Callable[[bytes, Any], None]:
-        def write(data: bytes, info: dict[str, int]) -> None:
-            received = info["received_timestamp"] or self.get_clock().now().nanoseconds
-            self._guarded(lambda: self._writer.write(handle, data, received, info["source_timestamp"] or received))
+    def _now(self) -> int:
+        return time.time_ns()  # what the middleware stamps the reception of a message with
 
-        return write
+    # --- what comes in
+
+    def _found(self, topic: str, type_name: str, offered: list[QosProfile]) -> Taken:
+        known = self._session.add_topic(topic, type_name, offered)
+
+        def take(data: bytes, info: dict[str, int]) -> None:
+            received = info["received_timestamp"] or self._now()
+            self._guarded(lambda: self._session.write(known, data, received, info["source_timestamp"] or received))
+
+        return take
+
+    def _on_parameters(self, node: str, values: Values) -> None:
+        rig = f"{self.get_namespace().rstrip('/')}/rig"
+        facts: dict[str, str] = {key: str(values[key]) for key in _RUN_FACTS if key in values} if node == rig else {}
+        self._guarded(lambda: self._session.parameters_at_start(node, values, self._now(), facts))
+
+    def _on_change(self, node: str, values: Values, deleted: tuple[str, ...]) -> None:
+        self._guarded(lambda: self._session.parameters_changed(node, values, deleted, self._now()))
+
+    def _on_squeal(self, message: DiagnosticArray) -> None:
+        detected = any(status_values(status).get("detected") == "true" for status in message.status)
+        if detected and not self._squealing and self._settings.snapshot_on_squeal and self._session.snapshots:
+            self._snapshot_due = self._snapshot_due or time.monotonic() + self._settings.snapshot_delay
+        self._squealing = detected
 
     def _flush(self) -> None:
-        self._guarded(self._writer.flush)
+        self._guarded(self._session.flush)
+        if self._snapshot_due is not None and time.monotonic() >= self._snapshot_due:
+            self._snapshot_due = None
+            if self._session.recording:
+                self._guarded(lambda: self.get_logger().info(self._session.snapshot("squeal detected", self._now())))
 
-    def _guarded(self, action: Callable[[], None]) -> None:
-        """A full disk ends the recording with a sentence; the rig goes on, and so does this node's health."""
-        if self._fault:
-            return
+    def _guarded(self, action: Callable[[], Any]) -> None:
+        """A full disk ends the recording with a sentence; the rig and this node go on."""
         try:
             action()
         except RecordingError as error:
-            self._fault = str(error)
             self.get_logger().error(f"recording stopped: {error}")
-            self._close(f"stopped: {error}")
+            self._end(f"stopped: {error}")
+            self._session.fault = str(error)
+
+    # --- services
+
+    def _start(self) -> str:
+        self._session.start(self._now())
+        return self._session.state
+
+    def _stop(self) -> str:
+        if not self._session.recording:
+            raise RecordingError("nothing is being recorded")
+        directory = self._session.directory
+        self._end("completed: stopped on request")
+        return f"closed {directory}"
+
+    def _serves(self, action: Callable[[], str]) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:
+        def serve(_request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            try:
+                response.success, response.message = True, action()
+                self.get_logger().info(response.message)
+            except RecordingError as error:
+                response.success, response.message = False, str(error)
+            return response
+
+        return serve
+
+    # --- health and end
 
     def _health(self) -> Health:
+        session, unknown = self._session, self._topics.unknown
         values = {
-            "directory": str(self._directory),
-            "bytes": self._writer.bytes_written,
-            "messages": self._writer.message_count,
-            "topics": len(self._recorded - self._unknown),
+            "directory": str(session.directory or ""),
+            "bytes": session.bytes_written,
+            "messages": session.message_count,
+            "topics": len(self._topics),
+            "lost messages": self._topics.lost,
+            "in memory [s]": round(session.seconds_in_memory, 1),
+            "snapshots": session.snapshot_count,
+            "nodes with known parameters": self._watch.answered,
         }
-        if self._fault:
-            return ERROR, self._fault, values
-        if self._unknown:
-            return WARN, f"not recorded: {', '.join(sorted(self._unknown))}", values
-        return OK, "recording", values
+        if session.fault:
+            return ERROR, session.fault, values
+        if unknown:
+            return WARN, "not recorded: " + ", ".join(sorted(unknown)), values
+        if self._topics.lost:
+            return WARN, f"{self._topics.lost} messages were lost on the way here", values
+        return OK, session.state, values
 
-    def _close(self, ending: str) -> None:
+    def _end(self, ending: str) -> None:
         try:
-            self._writer.close(ending)
+            lost = self._topics.lost
+            self._session.stop(ending, {"lost_messages": str(lost), "finished_utc": _utc_now()})
         except RecordingError as error:
             self.get_logger().error(str(error))
             self._lifetime.exit_code = 1
 
     def close(self) -> None:
-        """Close the bag."""
-        if not self._fault:
-            self._close("complete")
+        """Close the bag; it says whether the node was ended or fell."""
+        error = sys.exc_info()[1]
+        self._end("completed" if error is None else f"aborted: {type(error).__name__}: {error}")
+
+
+def default_directory() -> Path:
+    """bags/<UTC stamp> under the working directory."""
+    return Path(f"bags/{datetime.now(timezone.utc):%Y%m%dT%H%M%SZ}")
+
+
+def _utc_now() -> str:
+    return datetime.now(timezone.utc).isoformat(timespec="milliseconds")
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -144,6 +144,8 @@ class McapFile:
             raise RecordingError(f"Cannot close {self.path}: {error.strerror}.") from None
         finally:
             self._stream.close()
+            # A bag of many files keeps the totals of each, never the indexes: memory does not grow with its length.
+            self._chunk_indexes, self._metadata_indexes = [], []
 
     def _statistics(self) -> Statistics:
         return Statistics(

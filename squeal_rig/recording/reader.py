@@ -19,6 +19,7 @@ from .chunks import ChunkMessage
 from .mcap_index import Block, FileIndex, index_file, read_block
 from .qos_yaml import QosProfile, qos_from_yaml
 from .schemas import MessageSchema
+from .sealed import PROVENANCE, unsealed
 
 
 class RawMessage(NamedTuple):
@@ -63,7 +64,7 @@ class Bag:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         metadata = read_metadata(self.path) if self.path.is_dir() else None
-        self.files = _find_files(self.path) if metadata is None else paths_of(metadata.files, self.path)
+        self.files = find_files(self.path) if metadata is None else paths_of(metadata.files, self.path)
         self._indexes = [index_file(file) for file in self.files]
         self.topics: Mapping[str, TopicInfo] = _topics(self._indexes)
         holding = [index for index in self._indexes if index.message_count]
@@ -74,7 +75,9 @@ class Bag:
         self.custom_data: Mapping[str, str] = (
             _embedded_custom_data(records) if metadata is None else metadata.custom_data
         )
-        self.metadata_records = tuple(record for record in records if record.name != "rosbag2")
+        self.metadata_records = tuple(
+            MetadataRecord(name, unsealed(values)) for name, values in records if name not in ("rosbag2", PROVENANCE)
+        )
 
     @property
     def duration(self) -> float:
@@ -137,7 +140,7 @@ def _open(path: Path) -> BinaryIO:
         raise RecordingError(f"Cannot read {path}: {error.strerror}.") from None
 
 
-def _find_files(path: Path) -> tuple[Path, ...]:
+def find_files(path: Path) -> tuple[Path, ...]:
     """Return the files of a bag that has no metadata.yaml, in the order of their numbers."""
     if path.is_file():
         return (path,)

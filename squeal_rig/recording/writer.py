@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,6 +23,7 @@ from .chunks import ChunkBuilder, ChunkMessage
 from .mcap_file import McapFile
 from .qos_yaml import QosProfile, qos_to_yaml
 from .schemas import MessageSchema, full_type_name, installed_schema
+from .sealed import PROVENANCE, sealed
 
 LIBRARY = f"squeal_rig {__version__}"
 MAX_TIME = 2**63 - 1  # rosbag2 keeps times as int64 [ns]
@@ -89,6 +90,7 @@ class BagWriter:
         self._closed_files: list[McapFile] = []
         self._file_start: int | None = None
         self._messages = 0
+        self._heading: Callable[[], Sequence[tuple[str, Mapping[str, str]]]] = lambda: ()
         self._lock = threading.RLock()
         self._closed = False
         self._make_directory()
@@ -130,8 +132,13 @@ class BagWriter:
             self._handles[topic] = handle
             return handle
 
-    def write(self, handle: ChannelHandle, data: bytes, log_time: int, publish_time: int) -> None:
-        """Add one message: its CDR bytes, when it was received and when it was sent [ns]."""
+    def write(
+        self, handle: ChannelHandle, data: bytes, log_time: int, publish_time: int, sequence: int | None = None
+    ) -> None:
+        """Add one message: its CDR bytes, when it was received and when it was sent [ns].
+
+        Messages of a topic are numbered from 0 over all files; `sequence` keeps the number of another bag.
+        """
         if not 0 <= log_time <= MAX_TIME or not 0 <= publish_time <= MAX_TIME:
             raise RecordingError(
                 f"A message on {handle.topic} has log time {log_time} ns and publish time {publish_time} ns;"
@@ -144,9 +151,8 @@ class BagWriter:
                 self._write_chunk()  # the disk refused it: take nothing more into memory until it yields
             if self._chunk.message_count == 0:
                 self._chunk_deadline = time.monotonic() + self._flush_interval
-            message = ChunkMessage(
-                handle.channel.id, handle.message_count & _SEQUENCE_MASK, log_time, publish_time, bytes(data)
-            )
+            number = handle.message_count & _SEQUENCE_MASK if sequence is None else sequence
+            message = ChunkMessage(handle.channel.id, number, log_time, publish_time, bytes(data))
             self._chunk.add(handle.schema, handle.channel, message)
             handle.message_count += 1
             self._messages += 1
@@ -156,10 +162,24 @@ class BagWriter:
                 self._write_chunk()
 
     def add_metadata(self, name: str, mapping: Mapping[str, str]) -> None:
-        """Write a named record of texts into the current file at once (for instance a parameter change)."""
+        """Write a named record of texts into the current file at once (for instance a parameter change).
+
+        It carries its own checksum, since MCAP gives records outside chunks none.
+        """
         with self._lock:
             self._check_open()
-            self._file.append_metadata(name, mapping)
+            self._file.append_metadata(name, sealed(mapping))
+
+    def add_custom_data(self, mapping: Mapping[str, str]) -> None:
+        """Add facts that became known after the start; they are in the current file at once."""
+        with self._lock:
+            self._check_open()
+            self._custom |= mapping
+            self._file.append_metadata(PROVENANCE, sealed(self._custom))
+
+    def keep_in_every_file(self, records: Callable[[], Sequence[tuple[str, Mapping[str, str]]]]) -> None:
+        """Name the records that each following file of the bag is to begin with."""
+        self._heading = records
 
     def flush(self) -> None:
         """Hand every message to the operating system. Call it from a timer of period `flush_interval`."""
@@ -216,6 +236,9 @@ class BagWriter:
         # rosbag2 keeps its metadata in the file too: provenance survives a crash and a lost metadata.yaml.
         try:
             file.append_metadata("rosbag2", {"serialized_metadata": metadata_yaml(self._metadata([]))})
+            file.append_metadata(PROVENANCE, sealed(self._custom))
+            for name, values in self._heading():
+                file.append_metadata(name, sealed(values))
             for handle in self._handles.values():
                 file.define(handle.schema, handle.channel)
         except RecordingError:

@@ -1,0 +1,59 @@
+"""All parameters of all nodes, at the start of a recording and at every change, as records for a bag."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from .yaml_text import dump_yaml, load_yaml
+
+#: Names of the records: all parameters of a node when it was asked, and one change of them.
+AT_START, CHANGE = "parameters", "parameter_change"
+_MAX_NODES = 1000  # nodes come and go in a long recording; what is repeated in every file stays bounded
+
+Record = tuple[str, dict[str, str]]
+
+
+class ParameterLog:
+    """Follows the parameters of many nodes and words the records about them.
+
+    `current` are the records with everything known by now, for the head of a bag's next file.
+    """
+
+    def __init__(self) -> None:
+        self._nodes: dict[str, dict[str, Any]] = {}
+
+    def __contains__(self, node: object) -> bool:
+        return node in self._nodes
+
+    def at_start(self, node: str, values: Mapping[str, Any], time_ns: int) -> Record:
+        """Take all parameters of a node, asked for at that time [ns]; returns the record."""
+        if node in self._nodes or len(self._nodes) < _MAX_NODES:
+            self._nodes[node] = dict(values)
+        return _record(AT_START, node, values, time_ns)
+
+    def changed(self, node: str, values: Mapping[str, Any], deleted: tuple[str, ...], time_ns: int) -> Record:
+        """Take a change; returns the record. Deleted parameters are null in it."""
+        known = self._nodes.get(node)
+        if known is not None:
+            known |= values
+            for name in deleted:
+                known.pop(name, None)
+        return _record(CHANGE, node, {**values, **dict.fromkeys(deleted)}, time_ns)
+
+    def current(self, time_ns: int) -> list[Record]:
+        """Records of all parameters as they are at that time [ns]."""
+        return [_record(AT_START, node, values, time_ns) for node, values in self._nodes.items()]
+
+
+def parameters_of(record: Mapping[str, str]) -> tuple[str, int, dict[str, Any]]:
+    """Return (node, time [ns], name -> value) of a record that a ParameterLog has worded.
+
+    Raises RecordingError or KeyError when it is none.
+    """
+    values = load_yaml(record["values"])
+    return record["node"], int(record["time_ns"]), values if isinstance(values, dict) else {}
+
+
+def _record(name: str, node: str, values: Mapping[str, Any], time_ns: int) -> Record:
+    return name, {"node": node, "time_ns": str(time_ns), "values": dump_yaml(dict(values))}

@@ -1,0 +1,97 @@
+"""New bags out of others: a piece of one, or several in one. Payloads, times, types and QoS stay as they are."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from operator import itemgetter
+from pathlib import Path
+
+from squeal_rig.errors import RecordingError
+
+from .reader import Bag, RawMessage
+from .replay import is_latched, last_before, matching_topics
+from .writer import BagWriter, ChannelHandle
+
+_ENDING = "ending"
+
+
+def cut(
+    source: str | Path,
+    directory: str | Path,
+    start: float = 0.0,
+    end: float | None = None,
+    topics: Sequence[str] = (),
+) -> int:
+    """Copy start <= t < end [s] after the bag's first message; returns the number of messages.
+
+    topics: patterns as the player takes them, all where there are none. The last value of a latched topic from before
+    the start comes first, with the start as its log time: without the rig's description the rest says little.
+    Raises RecordingError where nothing is left or the bags cannot be read or written.
+    """
+    bag = Bag(source)
+    if not 0.0 <= start <= bag.duration or (end is not None and end <= start):
+        raise RecordingError(
+            f"The cut from {start:g} s to {'the end' if end is None else f'{end:g} s'} is not within the bag,"
+            f" which is {bag.duration:.3f} s long."
+        )
+    chosen = list(bag.topics) if not topics else matching_topics(bag.topics, topics)
+    if not chosen:
+        raise RecordingError(f"No topic of {bag.path} matches {', '.join(topics)}.")
+    first = bag.start_time + round(start * 1e9)
+    last = None if end is None else bag.start_time + round(end * 1e9)
+    facts = dict(bag.custom_data)
+    ending = facts.pop(_ENDING, "")
+    facts |= {"cut_from": bag.path.name, "cut_start_s": f"{start!r}", "cut_end_s": "" if end is None else f"{end!r}"}
+    with BagWriter(directory, custom_data=facts) as writer:
+        handles = _handles(writer, bag, chosen)
+        for message in last_before(bag, [name for name in chosen if is_latched(bag.topics[name].qos)], first):
+            writer.write(handles[message.topic], message.data, first, message.publish_time)
+        for message in bag.messages(chosen, first, last):
+            writer.write(handles[message.topic], message.data, message.log_time, message.publish_time)
+        _copy_records(writer, bag)
+        if writer.message_count == 0:
+            raise RecordingError(f"{bag.path} has no message between {start:g} s and {end} s.")
+        writer.close(f"cut from a bag that ended: {ending}" if ending else "cut from a bag")
+    return writer.message_count
+
+
+def merge(sources: Sequence[str | Path], directory: str | Path) -> int:
+    """Put several bags into one, in log-time order; returns the number of messages.
+
+    Raises RecordingError where a topic has two types, or the bags cannot be read or written.
+    """
+    bags = [Bag(source) for source in sources]
+    if len(bags) < 2:
+        raise RecordingError(f"{len(bags)} bag was given; two or more can be merged.")
+    facts: dict[str, str] = {"merged_from": ", ".join(bag.path.name for bag in bags)}
+    for number, bag in enumerate(bags):
+        facts |= {f"{number}.{key}": value for key, value in bag.custom_data.items()}
+    with BagWriter(directory, custom_data=facts) as writer:
+        handles: dict[str, ChannelHandle] = {}
+        for bag in bags:
+            handles |= _handles(writer, bag, list(bag.topics))
+            _copy_records(writer, bag)
+        for _, _, message in heapq.merge(*(_keyed(bag, n) for n, bag in enumerate(bags)), key=itemgetter(0, 1)):
+            writer.write(handles[message.topic], message.data, message.log_time, message.publish_time)
+        writer.close("merged from " + str(len(bags)) + " bags")
+    return writer.message_count
+
+
+def _keyed(bag: Bag, number: int) -> Iterator[tuple[int, int, RawMessage]]:
+    return ((message.log_time, number, message) for message in bag.messages())
+
+
+def _handles(writer: BagWriter, bag: Bag, topics: Collection[str]) -> Mapping[str, ChannelHandle]:
+    handles = {}
+    for name in topics:
+        topic = bag.topics[name]
+        if topic.serialization_format != "cdr":
+            raise RecordingError(f"{bag.path}: {name} is stored as {topic.serialization_format!r}, not as cdr.")
+        handles[name] = writer.add_topic(name, topic.type_name, topic.qos, topic.schema)
+    return handles
+
+
+def _copy_records(writer: BagWriter, bag: Bag) -> None:
+    for record in bag.metadata_records:
+        writer.add_metadata(record.name, record.values)

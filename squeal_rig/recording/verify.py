@@ -1,0 +1,241 @@
+"""Goes through all of a bag and tells whether it can be trusted. Memory is bounded by one chunk."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from squeal_rig.errors import RecordingError
+
+from .bag_metadata import BagMetadata, read_metadata
+from .gaps import CLOUD_TYPE, SampleCount
+from .mcap_index import FileIndex, index_file
+from .messages import Decode, decoder_of
+from .reader import Bag, find_files
+from .schemas import MessageSchema, installed_schema
+from .sealed import is_intact
+from .verify_file import FileChecker
+
+_MAX_FINDINGS = 200
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong (`error`) or worth knowing (`warning`), and where."""
+
+    level: str
+    where: str
+    sentence: str
+
+
+@dataclass
+class Verdict:
+    """What a bag was found to be; sound when there is no error."""
+
+    findings: list[Finding] = field(default_factory=list)
+    messages: int = 0
+    bytes: int = 0
+    samples: dict[str, SampleCount] = field(default_factory=dict)
+    left_out: int = 0
+
+    @property
+    def sound(self) -> bool:
+        """Whether no error was found."""
+        return not any(finding.level == "error" for finding in self.findings)
+
+    def error(self, where: str, sentence: str) -> None:
+        """Note something wrong."""
+        self._add("error", where, sentence)
+
+    def warn(self, where: str, sentence: str) -> None:
+        """Note something worth knowing."""
+        self._add("warning", where, sentence)
+
+    def _add(self, level: str, where: str, sentence: str) -> None:
+        if len(self.findings) < _MAX_FINDINGS:
+            self.findings.append(Finding(level, where, sentence))
+        else:
+            self.left_out += 1
+
+
+@dataclass
+class _Topic:
+    """What is followed of a topic through all files."""
+
+    type_name: str
+    schema: MessageSchema
+    count: int = 0
+    last_log: int = -1
+    last_publish: int = -1
+    backwards: int = 0
+    publish_backwards: int = 0
+    sent_later: int = 0
+    next_number: int | None = None
+    missing: int = 0
+    numbered: bool = False
+    decode: Decode | None = None
+    undecodable: str = ""
+    last: bytes = b""
+
+
+def verify(path: str | Path) -> Verdict:
+    """Check a bag's files, checksums, indexes, order, numbering, samples, definitions and metadata.yaml.
+
+    Raises RecordingError only where there is no bag at all.
+    """
+    path = Path(path)
+    verdict = Verdict()
+    files = find_files(path)
+    topics: dict[str, _Topic] = {}
+    indexes: list[FileIndex] = []
+    for file in files:
+        try:
+            index = index_file(file)
+        except RecordingError as error:
+            verdict.error(file.name, str(error))
+            continue
+        indexes.append(index)
+        verdict.bytes += file.stat().st_size
+        _check_file(index, topics, verdict)
+    for name, topic in topics.items():
+        _judge_topic(name, topic, verdict)
+    for name, count in verdict.samples.items():
+        _judge_samples(name, count, verdict)
+    if indexes:
+        _check_metadata(path, indexes, topics, verdict)
+    return verdict
+
+
+def _check_file(index: FileIndex, topics: dict[str, _Topic], verdict: Verdict) -> None:
+    """Take one file's messages; checksums and indexes are the checker's."""
+    checker = FileChecker(index)
+    numbered = checker.numbered
+    for message in checker.messages():
+        channel = index.channels.get(message.channel_id)
+        schema = None if channel is None else index.schemas.get(channel.schema_id)
+        if channel is None or schema is None:
+            continue  # the checker tells
+        topic = topics.get(channel.topic)
+        if topic is None:
+            text = schema.data.decode(errors="replace")
+            definition = MessageSchema(
+                schema.name, text, channel.metadata.get("topic_type_hash", ""), schema.encoding or "ros2msg"
+            )
+            topic = topics[channel.topic] = _Topic(schema.name, definition)
+            _begin_topic(channel.topic, topic, verdict)
+        elif topic.type_name != schema.name:
+            verdict.error(channel.topic, f"is {topic.type_name} and {schema.name} in one bag")
+        topic.numbered = numbered
+        _follow(topic, message)
+        if topic.type_name == CLOUD_TYPE:
+            verdict.samples.setdefault(channel.topic, SampleCount()).add(message.data)
+        verdict.messages += 1
+    for fault in checker.faults:
+        verdict.error(index.path.name, fault)
+    for name, values in index.metadata:
+        if is_intact(values) is False:
+            verdict.error(index.path.name, f"the metadata record {name!r} is damaged: its checksum does not fit")
+
+
+def _begin_topic(name: str, topic: _Topic, verdict: Verdict) -> None:
+    try:
+        topic.decode = decoder_of(topic.schema)
+    except RecordingError as error:
+        verdict.warn(name, f"cannot be decoded from the bag alone: {error}")
+    try:
+        installed = installed_schema(topic.type_name)
+    except RecordingError:
+        return
+    if topic.schema.type_hash and installed.type_hash != topic.schema.type_hash:
+        verdict.warn(
+            name, f"{topic.type_name} has hash {topic.schema.type_hash}; the one installed {installed.type_hash}"
+        )
+
+
+def _follow(topic: _Topic, message: Any) -> None:
+    topic.backwards += message.log_time < topic.last_log
+    topic.publish_backwards += message.publish_time < topic.last_publish
+    topic.sent_later += message.publish_time > message.log_time
+    topic.last_log, topic.last_publish = message.log_time, message.publish_time
+    if topic.next_number is not None:
+        topic.missing += max(message.sequence - topic.next_number, 0)
+    topic.next_number = message.sequence + 1
+    if topic.count == 0:
+        _try_decoding(topic, message.data)
+    topic.last = message.data
+    topic.count += 1
+
+
+def _try_decoding(topic: _Topic, data: bytes) -> None:
+    if topic.decode is not None and not topic.undecodable:
+        try:
+            topic.decode(data)
+        except RecordingError as error:
+            topic.undecodable = str(error)
+
+
+def _judge_topic(name: str, topic: _Topic, verdict: Verdict) -> None:
+    _try_decoding(topic, topic.last)
+    if topic.undecodable:
+        verdict.error(name, f"its messages do not fit their definition: {topic.undecodable}")
+    if topic.backwards:
+        verdict.error(name, f"log time goes back {topic.backwards} times")
+    if topic.publish_backwards:
+        verdict.warn(
+            name, f"publish time goes back {topic.publish_backwards} times: several publishers, or a clock set"
+        )
+    if topic.sent_later:
+        verdict.warn(name, f"{topic.sent_later} messages were published later than they were received: a clock set")
+    if topic.numbered and topic.missing:
+        verdict.error(name, f"{topic.missing} messages are missing by their numbers")
+
+
+def _judge_samples(name: str, count: SampleCount, verdict: Verdict) -> None:
+    if count.damaged:
+        verdict.error(name, f"{count.damaged} blocks are no PointCloud2 with samples")
+    if count.lost:
+        verdict.error(name, f"{count.lost} samples are missing in {count.gaps} gaps by seq")
+    if count.back:
+        verdict.warn(name, f"seq goes back {count.back} times: the rig was started anew, or a replay looped")
+
+
+def _check_metadata(path: Path, indexes: list[FileIndex], topics: dict[str, _Topic], verdict: Verdict) -> None:
+    """Compare metadata.yaml with the files; one file alone needs none."""
+    if path.is_dir():
+        try:
+            metadata = read_metadata(path)
+        except RecordingError as error:
+            verdict.error("metadata.yaml", str(error))
+            return
+        if metadata is None:
+            verdict.warn("metadata.yaml", "is missing: rosbag2 wants `ros2 bag reindex` first")
+        else:
+            for fault in _disagreements(metadata, indexes, topics):
+                verdict.error("metadata.yaml", fault)
+    try:
+        ending = Bag(path).ending
+    except RecordingError as error:
+        verdict.error(path.name, str(error))
+        return
+    if ending is None:
+        verdict.warn(path.name, "does not say how the recording ended")
+
+
+def _disagreements(metadata: BagMetadata, indexes: list[FileIndex], topics: dict[str, _Topic]) -> Iterator[str]:
+    there = {index.path.name: index for index in indexes}
+    for entry in metadata.files:
+        index = there.pop(Path(entry.path).name, None)
+        if index is None:
+            yield f"names {entry.path}, which is missing or cannot be read"
+        elif entry.message_count != index.message_count and entry.message_count:
+            yield f"says {entry.message_count} messages are in {entry.path}; there are {index.message_count}"
+    yield from (f"does not name {name}" for name in there)
+    for topic in metadata.topics:
+        found = topics.get(topic.name)
+        count = found.count if found is not None else 0
+        if topic.message_count != count:
+            yield f"says {topic.message_count} messages of {topic.name}; there are {count}"
+        if found is not None and found.type_name != topic.type_name:
+            yield f"says {topic.name} is {topic.type_name}; it is {found.type_name}"
