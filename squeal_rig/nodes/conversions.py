@@ -14,6 +14,8 @@ from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState, PointCloud2, PointField
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
+from squeal_rig.estimation.stability_follower import text_of
+
 FRAME = "rig"
 _FIELD_TYPES = {
     "f8": PointField.FLOAT64,
@@ -89,7 +91,7 @@ def status(level: bytes, name: str, message: str, values: Mapping[str, Any], har
         name=name,
         message=message,
         hardware_id=hardware_id,
-        values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()],
+        values=[KeyValue(key=key, value=text_of(value)) for key, value in values.items()],
     )
 
 
@@ -112,11 +114,3 @@ def status_number(message: DiagnosticStatus, key: str) -> float:
         return float(text)
     except ValueError:
         return math.nan
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, float):
-        return "none" if math.isnan(value) else repr(float(value))
-    return str(value)

@@ -2,31 +2,25 @@
 
 from __future__ import annotations
 
-import math
 import sys
 import time
 from collections.abc import Sequence
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64MultiArray
 
-from squeal_rig.errors import ModelError, SquealRigError
+from squeal_rig.errors import SquealRigError
+from squeal_rig.estimation.stability_follower import EIGENVALUE_LABELS, Estimate, InForce, StabilityFollower
 from squeal_rig.instruments.description import RigDescription
-from squeal_rig.model.friction import friction_coefficient
-from squeal_rig.model.parameters import RigParameters
-from squeal_rig.model.stability import stability_report
 from squeal_rig.nodes import qos
-from squeal_rig.nodes.conversions import ERROR, OK, WARN, diagnostics, labelled_array, status
+from squeal_rig.nodes.conversions import diagnostics, labelled_array, status
 from squeal_rig.nodes.health import DataWatch, Health, HealthPublisher
 from squeal_rig.nodes.lifetime import Lifetime, run_node
 from squeal_rig.nodes.parameters import NODE_OPTIONS, DeclaredParameters
 from squeal_rig.nodes.rig_follower import RigFollower
 from squeal_rig.recording import samples_from_cdr
-
-# While the operating point slews, what is in force is analysed at most this often [s].
-_IN_FORCE_PERIOD = 0.05
 
 
 class StabilityNode(Node):
@@ -35,11 +29,7 @@ class StabilityNode(Node):
     def __init__(self, lifetime: Lifetime) -> None:
         super().__init__("stability", **NODE_OPTIONS)
         DeclaredParameters(self, ())
-        self._set_point: RigParameters | None = None
-        self._in_force: tuple[float, float] | None = None  # preload [N], belt speed [m/s]
-        self._estimated = math.nan
-        self._last_summary = -math.inf
-        self._summary_due = False
+        self._follower = StabilityFollower()
         self._analyses = 0
         self._rejected = 0
         self._watch = DataWatch("daq/samples")
@@ -51,22 +41,18 @@ class StabilityNode(Node):
         HealthPublisher(self, self._health)
 
     def _on_rig(self, rig: RigDescription) -> None:
-        self._set_point = rig.parameters
-        self._publish_summary()
+        self._follower.take_rig(rig)
+        self._publish_if_due()
 
     def _on_daq(self, data: bytes) -> None:
         self._watch.seen()
         try:
-            daq = samples_from_cdr(data).samples
+            last = samples_from_cdr(data).samples[-1]
         except SquealRigError as error:
             self._reject(error)
             return
-        in_force = float(daq["preload"][-1]), float(daq["belt_speed"][-1])
-        if in_force != self._in_force:
-            self._in_force = in_force
-            self._summary_due = True
-        if self._summary_due and time.monotonic() - self._last_summary >= _IN_FORCE_PERIOD:
-            self._publish_summary()
+        self._follower.take_block(InForce(float(last["preload"]), float(last["belt_speed"]), int(last["seq"])))
+        self._publish_if_due()
 
     def _on_window(self, data: bytes) -> None:
         try:
@@ -74,54 +60,23 @@ class StabilityNode(Node):
         except SquealRigError as error:
             self._reject(error)
             return
-        self._estimated = float(window["mu_ratio_of_means"])
-        self._summary_due = True
+        self._follower.take_estimate(Estimate(float(window["mu_ratio_of_means"]), float(window["t_end"])))
 
     def _reject(self, error: SquealRigError) -> None:
         self._rejected += 1
         self.get_logger().warning(f"message refused: {error}", throttle_duration_sec=1.0)
 
-    def _publish_summary(self) -> None:
+    def _publish_if_due(self) -> None:
         """Analyse and publish; the eigenvalues are those of the set point."""
-        if self._set_point is None:
+        now = time.monotonic()
+        if not self._follower.is_due(now):
             return
-        self._last_summary, self._summary_due = time.monotonic(), False
         self._analyses += 1
-        statuses = [self._analysed("set point", self._set_point, "set", with_eigenvalues=True)]
-        if self._in_force is not None:
-            preload, speed = self._in_force
-            in_force = self._set_point.replace(preload=preload, belt_speed=speed)
-            statuses.append(self._analysed("in force", in_force, "set"))
-            if math.isfinite(self._estimated):
-                fixed = in_force.replace(mu0=self._estimated, mu_speed=0.0, mu_preload=0.0, mu_speed_preload=0.0)
-                statuses.append(self._analysed("in force, estimated mu", fixed, "estimated"))
+        summary = self._follower.summary(now)
+        if summary.eigenvalues is not None:
+            self._eigenvalues.publish(labelled_array(summary.eigenvalues, *EIGENVALUE_LABELS))
+        statuses = [status(bytes([s.level]), s.name, s.message, s.values) for s in summary.statuses]
         self._summary.publish(diagnostics(self.get_clock().now().nanoseconds, *statuses))
-
-    def _analysed(self, name: str, p: RigParameters, source: str, with_eigenvalues: bool = False) -> DiagnosticStatus:
-        point = {
-            "preload [N]": p.preload,
-            "belt speed [m/s]": p.belt_speed,
-            "mu": friction_coefficient(p),
-            "mu source": source,
-        }
-        try:
-            report = stability_report(p)
-        except ModelError as error:
-            return status(ERROR, f"stability: {name}", str(error), point)
-        if with_eigenvalues:
-            rows = [(value.real, value.imag) for value in report.eigenvalues]
-            self._eigenvalues.publish(labelled_array(rows, "eigenvalue [rad/s]", "re, im"))
-        values = {
-            "k [N/m]": report.pad_stiffness,
-            "k_cr [N/m]": report.critical_pad_stiffness,
-            "k_upper [N/m]": report.upper_pad_stiffness,
-            "margin": report.margin,
-            "growth rate [1/s]": report.growth_rate,
-            "damping ratio": report.damping_ratio,
-            "squeal frequency [Hz]": report.squeal_frequency,
-        }
-        level, text = (WARN, "unstable") if report.unstable else (OK, "stable")
-        return status(level, f"stability: {name}", text, {**values, **point})
 
     def _health(self) -> Health:
         return self._watch.health({"analyses": self._analyses, "rejected messages": self._rejected})

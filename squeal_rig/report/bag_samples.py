@@ -8,19 +8,24 @@ from typing import Any
 
 from squeal_rig.errors import RecordingError
 from squeal_rig.instruments.description import RigDescription
-from squeal_rig.recording import Bag, as_mapping, decoder_of, samples_from_cdr
+from squeal_rig.recording import Bag, RawMessage, as_mapping, decoder_of, samples_from_cdr
 
+_MAX_TRUTHS = 16
 DESCRIPTION, DAQ, TRUTH = "rig/description", "daq/samples", "truth/samples"
 
 
 @dataclass(frozen=True)
 class RecordedBlock:
-    """A block as recorded: stamp [ns], samples, truth of the same samples or None, description in force."""
+    """A block as recorded: stamp [ns], samples, truth of the same samples or None, description in force.
+
+    `log_time` is when the samples were recorded [ns].
+    """
 
     stamp: int
     daq: Any
     truth: Any
     rig: RigDescription
+    log_time: int = 0
 
 
 def rig_topic(bag: Bag, name: str) -> str | None:
@@ -37,38 +42,65 @@ def rig_topic(bag: Bag, name: str) -> str | None:
     return found[0] if found else None
 
 
+class BlockJoiner:
+    """Joins `daq/samples` with `truth/samples` by `seq`, message by message, in bounded memory."""
+
+    def __init__(self, bag: Bag) -> None:
+        self.path = bag.path
+        self.topics = {name: rig_topic(bag, name) for name in (DESCRIPTION, DAQ, TRUTH)}
+        for name in (DESCRIPTION, DAQ):
+            if self.topics[name] is None:
+                raise RecordingError(f"{bag.path} has no topic {name}: not a recording of the rig")
+        self._decode = decoder_of(bag.topics[self.topics[DESCRIPTION]].schema)  # type: ignore[index]
+        self.rig: RigDescription | None = None
+        self._waiting: list[tuple[int, Any, int]] = []
+        self._truths: dict[int, Any] = {}
+
+    @property
+    def names(self) -> list[str]:
+        """The bag's topics to read."""
+        return [topic for topic in self.topics.values() if topic is not None]
+
+    def take(self, message: RawMessage) -> Iterator[RecordedBlock]:
+        """Take the next message of one of `names`; yields the blocks that are whole now."""
+        if message.topic == self.topics[DESCRIPTION]:
+            self.rig = RigDescription.from_yaml(as_mapping(self._decode(message.data))["data"])
+            return
+        stamp, _, samples = samples_from_cdr(message.data)
+        if len(samples) == 0:
+            raise RecordingError(f"{self.path}: a block on {message.topic} holds no samples")
+        if message.topic == self.topics[TRUTH]:
+            self._truths[int(samples["seq"][0])] = samples
+        else:
+            self._waiting.append((stamp, samples, message.log_time))
+        # Truth follows its block within the same callback of the rig: one block of patience is enough.
+        while self._waiting and self.rig is not None:
+            first = int(self._waiting[0][1]["seq"][0])
+            if first not in self._truths and self.topics[TRUTH] is not None and len(self._waiting) < 3:
+                break
+            yield self._next(self.rig)
+        while len(self._truths) > _MAX_TRUTHS:  # those whose block was lost
+            self._truths.pop(next(iter(self._truths)))
+
+    def rest(self) -> Iterator[RecordedBlock]:
+        """Yield the blocks still waiting at the end of the bag."""
+        if self.rig is None:
+            raise RecordingError(f"{self.path} holds no message on {DESCRIPTION}: the rig's constants are not known")
+        while self._waiting:
+            yield self._next(self.rig)
+
+    def _next(self, rig: RigDescription) -> RecordedBlock:
+        stamp, daq, log_time = self._waiting.pop(0)
+        return RecordedBlock(stamp, daq, self._truths.pop(int(daq["seq"][0]), None), rig, log_time)
+
+
 def recorded_blocks(bag: Bag) -> Iterator[RecordedBlock]:
     """Blocks of `daq/samples` joined with `truth/samples` by `seq`, in bounded memory.
 
     Raises:
         RecordingError: no samples or no description in the bag, or a message is damaged.
     """
-    topics = {name: rig_topic(bag, name) for name in (DESCRIPTION, DAQ, TRUTH)}
-    for name in (DESCRIPTION, DAQ):
-        if topics[name] is None:
-            raise RecordingError(f"{bag.path} has no topic {name}: not a recording of the rig")
-    decode = decoder_of(bag.topics[topics[DESCRIPTION]].schema)  # type: ignore[index]
-    rig: RigDescription | None = None
-    waiting: list[tuple[int, Any]] = []
-    truths: dict[int, Any] = {}
-    for message in bag.messages([topic for topic in topics.values() if topic is not None]):
-        if message.topic == topics[DESCRIPTION]:
-            rig = RigDescription.from_yaml(as_mapping(decode(message.data))["data"])
-            continue
-        stamp, _, samples = samples_from_cdr(message.data)
-        if message.topic == topics[TRUTH]:
-            truths[int(samples["seq"][0])] = samples
-        else:
-            waiting.append((stamp, samples))
-        # Truth follows its block within the same callback of the rig: one block of patience is enough.
-        while waiting and rig is not None:
-            stamp, daq = waiting[0]
-            truth = truths.pop(int(daq["seq"][0]), None)
-            if truth is None and topics[TRUTH] is not None and len(waiting) < 3:
-                break
-            waiting.pop(0)
-            yield RecordedBlock(stamp, daq, truth, rig)
-    if rig is None:
-        raise RecordingError(f"{bag.path} holds no message on {DESCRIPTION}: the rig's constants are not known")
-    for stamp, daq in waiting:
-        yield RecordedBlock(stamp, daq, truths.pop(int(daq["seq"][0]), None), rig)
+    joiner = BlockJoiner(bag)
+    for message in bag.messages(joiner.names):
+        yield from joiner.take(message)
+    yield from joiner.rest()

@@ -1,0 +1,94 @@
+"""Serialises the few messages that offline estimation writes, without ROS.
+
+CDR, little-endian (OMG DDSI-RTPS 2.3, section 10): numbers are aligned to their size from the end of the header.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from struct import pack
+
+_HEADER = b"\x00\x01\x00\x00"
+
+
+class CdrWriter:
+    """Bytes of one message, field by field."""
+
+    def __init__(self) -> None:
+        self._out = bytearray()
+
+    def octet(self, value: int) -> None:
+        """An uint8 or a byte."""
+        self._out.append(value)
+
+    def uint32(self, value: int) -> None:
+        """An uint32, or a sequence's length."""
+        self._align(4)
+        self._out += pack("<I", value)
+
+    def int32(self, value: int) -> None:
+        """An int32."""
+        self._align(4)
+        self._out += pack("<i", value)
+
+    def doubles(self, values: Sequence[float]) -> None:
+        """Float64 values, without a length."""
+        if values:
+            self._align(8)
+            self._out += pack(f"<{len(values)}d", *values)
+
+    def text(self, value: str) -> None:
+        """A string."""
+        data = value.encode() + b"\0"
+        self.uint32(len(data))
+        self._out += data
+
+    def done(self) -> bytes:
+        """The whole message."""
+        return _HEADER + bytes(self._out)
+
+    def _align(self, size: int) -> None:
+        self._out += bytes(-len(self._out) % size)
+
+
+def float64_message(value: float) -> bytes:
+    """A std_msgs/Float64."""
+    writer = CdrWriter()
+    writer.doubles([value])
+    return writer.done()
+
+
+def multi_array_message(rows: Sequence[Sequence[float]], row_label: str, column_label: str) -> bytes:
+    """A std_msgs/Float64MultiArray of a table with labelled dimensions."""
+    height, width = len(rows), len(rows[0])
+    writer = CdrWriter()
+    writer.uint32(2)
+    for label, size, stride in ((row_label, height, height * width), (column_label, width, width)):
+        writer.text(label)
+        writer.uint32(size)
+        writer.uint32(stride)
+    writer.uint32(0)
+    writer.uint32(height * width)
+    writer.doubles([float(value) for row in rows for value in row])
+    return writer.done()
+
+
+def diagnostics_message(
+    stamp_ns: int, frame_id: str, statuses: Sequence[tuple[int, str, str, Mapping[str, str]]]
+) -> bytes:
+    """A diagnostic_msgs/DiagnosticArray; a status is (level, name, message, values), its hardware_id empty."""
+    writer = CdrWriter()
+    seconds, nanoseconds = divmod(stamp_ns, 10**9)
+    writer.int32(seconds)
+    writer.uint32(nanoseconds)
+    writer.text(frame_id)
+    writer.uint32(len(statuses))
+    for level, name, message, values in statuses:
+        writer.octet(level)
+        for text in (name, message, ""):
+            writer.text(text)
+        writer.uint32(len(values))
+        for key, value in values.items():
+            writer.text(key)
+            writer.text(value)
+    return writer.done()
