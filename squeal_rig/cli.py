@@ -95,12 +95,99 @@ def check(
     console.print(f"{file}: {check_file(file)}, all in order")
 
 
+bag_app = typer.Typer(no_args_is_help=True, help="Look into bags, check them, save them, cut, merge, export.")
+app.add_typer(bag_app, name="bag")
+
+OutArgument = Annotated[Path, typer.Argument(help="New folder for the bag that is written.", metavar="OUT_DIR")]
+TopicsOption = Annotated[
+    list[str] | None, typer.Option("--topic", help="Topic or pattern; may be given several times.")
+]
+
+
 @app.command()
-def info(bag: BagArgument) -> None:
-    """What a bag holds: topics, rates, provenance, how it ended."""
+@bag_app.command()
+def info(
+    bag: BagArgument,
+    quick: Annotated[bool, typer.Option("--quick", help="Indexes only: count no samples.")] = False,
+) -> None:
+    """What a bag holds: topics, rates, gaps, rejected samples, provenance, how it ended."""
     from squeal_rig.report.bag_info import bag_info
 
-    console.print(bag_info(bag))
+    console.print(bag_info(bag, quick))
+
+
+@bag_app.command()
+def verify(bag: BagArgument) -> None:
+    """Check all of a bag; exit code 0 when it is sound, 1 when not, 2 when it is no bag."""
+    from squeal_rig.report.bag_reports import verdict_text
+
+    text, sound = verdict_text(bag)
+    console.print(text, markup=False, highlight=False)
+    raise typer.Exit(0 if sound else 1)
+
+
+@bag_app.command()
+def recover(
+    file: Annotated[Path, typer.Argument(help="A damaged or unclosed .mcap file, or its folder.", metavar="FILE")],
+    out: OutArgument,
+) -> None:
+    """Save every intact chunk into a new bag and tell what is lost; exit code 0 when nothing is, else 1."""
+    from squeal_rig.recording.recover import recover as recover_bag
+
+    report = recover_bag(file, out)
+    console.print("\n".join(report.sentences()), markup=False, highlight=False)
+    raise typer.Exit(0 if report.complete else 1)
+
+
+@bag_app.command()
+def cut(
+    bag: BagArgument,
+    out: OutArgument,
+    start: Annotated[float, typer.Option(help="Begin [s after the first message].", min=0.0)] = 0.0,
+    end: Annotated[float | None, typer.Option(help="End [s after the first message]; the bag's end without.")] = None,
+    topic: TopicsOption = None,
+) -> None:
+    """Copy a piece of a bag into a new one."""
+    from squeal_rig.recording.rewrite import cut as cut_bag
+
+    console.print(f"{cut_bag(bag, out, start, end, topic or ())} messages written to {out}")
+
+
+@bag_app.command()
+def merge(
+    bags: Annotated[
+        list[Path], typer.Argument(help="Two or more bags, then the new folder.", metavar="BAG... OUT_DIR")
+    ],
+) -> None:
+    """Put several bags into one, in the order of time."""
+    from squeal_rig.recording.rewrite import merge as merge_bags
+
+    console.print(f"{merge_bags(bags[:-1], bags[-1])} messages written to {bags[-1]}")
+
+
+@bag_app.command()
+def export(
+    bag: BagArgument,
+    out: Annotated[Path, typer.Argument(help="Folder or file to write.", metavar="OUT")],
+    to: Annotated[str, typer.Option(help="parquet, csv, hdf5 or wav.")],
+    topic: TopicsOption = None,
+    column: Annotated[list[str] | None, typer.Option(help="Column; may be given several times.")] = None,
+) -> None:
+    """Write the samples for other tools: one row a sample, units in the column's metadata."""
+    from squeal_rig.report.export import export_bag
+
+    for file in export_bag(bag, to, out, topic or (), column or ()):
+        console.print(f"{file.path}: {file.topic}, {file.rows} rows, {file.size / 1e6:.1f} MB", highlight=False)
+        if file.note:
+            console.print(f"  {file.note}", markup=False, highlight=False)
+
+
+@bag_app.command()
+def estimate(bag: BagArgument, out: OutArgument) -> None:
+    """Compute friction and stability again from the log, with today's code, and compare with what was recorded."""
+    from squeal_rig.report.bag_reports import estimate_text
+
+    console.print(estimate_text(bag, out), markup=False, highlight=False)
 
 
 def main() -> int:

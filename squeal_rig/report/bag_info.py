@@ -5,20 +5,41 @@ from __future__ import annotations
 from datetime import datetime, timezone
 from pathlib import Path
 
-from rich.console import Group
+from rich.console import Group, RenderableType
+from rich.markup import escape
 from rich.table import Table
 
 from squeal_rig.recording import Bag
+from squeal_rig.recording.gaps import CLOUD_TYPE, SampleCount
+from squeal_rig.recording.parameter_log import AT_START, CHANGE
 
 
-def bag_info(path: Path | str) -> Group:
-    """Size, time, ending, provenance and topics of a bag, to print.
+def bag_info(path: Path | str, quick: bool = False) -> Group:
+    """Size, time, ending, provenance, topics and samples of a bag, to print.
+
+    quick: read the indexes only, and count no samples.
 
     Raises:
         RecordingError: the bag cannot be read.
     """
     bag = Bag(path)
-    facts = Table(title=f"Bag {bag.path}", title_justify="left", show_header=False)
+    parts: list[RenderableType] = [_facts(bag), _topics(bag)]
+    counts = {} if quick else sample_counts(bag)
+    if counts:
+        parts.append(_samples(counts))
+    return Group(*parts)
+
+
+def sample_counts(bag: Bag) -> dict[str, SampleCount]:
+    """Samples, gaps by `seq`, rejected samples and damaged blocks of each topic of samples."""
+    counts = {name: SampleCount() for name, topic in bag.topics.items() if topic.type_name == CLOUD_TYPE}
+    for message in bag.messages(list(counts)):
+        counts[message.topic].add(message.data)
+    return counts
+
+
+def _facts(bag: Bag) -> Table:
+    facts = Table(title=f"Bag {escape(str(bag.path))}", title_justify="left", show_header=False)
     facts.add_column(style="bold")
     facts.add_column()
     size = sum(file.stat().st_size for file in bag.files)
@@ -27,17 +48,39 @@ def bag_info(path: Path | str) -> Group:
     facts.add_row("start", f"{start:%Y-%m-%d %H:%M:%S} UTC")
     facts.add_row("duration", f"{bag.duration:.3f} s")
     facts.add_row("messages", str(bag.message_count))
+    facts.add_row("ended", escape(bag.ending or "the bag does not say"))
     for key, value in bag.custom_data.items():
-        facts.add_row(key, str(value))
+        if key != "ending":
+            facts.add_row(escape(key), escape(str(value)))
+    records = bag.metadata_records
+    nodes = sorted({record.values.get("node", "") for record in records if record.name == AT_START})
+    if nodes:
+        facts.add_row("parameters of", escape(", ".join(nodes)))
+    changes = sum(record.name == CHANGE for record in records)
+    facts.add_row("parameter changes", str(changes))
+    for record in records:
+        if record.name == "snapshot":
+            values = record.values
+            facts.add_row("snapshot", escape(f"{values.get('reason', '')}, {values.get('seconds', '?')} s"))
+    return facts
+
+
+def _topics(bag: Bag) -> Table:
     topics = Table(title="Topics", title_justify="left")
-    for column, justify in (
-        ("topic", "left"),
-        ("type", "left"),
-        ("messages", "right"),
-        ("rate [Hz]", "right"),
-    ):
+    for column, justify in (("topic", "left"), ("type", "left"), ("messages", "right"), ("rate [Hz]", "right")):
         topics.add_column(column, justify=justify)  # type: ignore[arg-type]
     for name, topic in sorted(bag.topics.items()):
         rate = f"{topic.message_count / bag.duration:.1f}" if bag.duration > 0.0 else "-"
         topics.add_row(name, topic.type_name, str(topic.message_count), rate)
-    return Group(facts, topics)
+    return topics
+
+
+def _samples(counts: dict[str, SampleCount]) -> Table:
+    table = Table(title="Samples", title_justify="left")
+    table.add_column("topic")
+    for column in ("samples", "gaps", "lost", "rejected", "damaged blocks"):
+        table.add_column(column, justify="right")
+    for name, count in sorted(counts.items()):
+        gaps, lost = (str(count.gaps), str(count.lost)) if count.counted else ("-", "-")
+        table.add_row(name, str(count.samples), gaps, lost, str(count.rejected), str(count.damaged))
+    return table

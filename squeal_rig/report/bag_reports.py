@@ -1,0 +1,39 @@
+"""What the commands about bags tell, in words."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from squeal_rig.recording import Bag
+from squeal_rig.recording.verify import verify
+from squeal_rig.report.estimate import estimate_bag
+from squeal_rig.report.estimate_check import compare_estimates
+
+
+def verdict_text(path: Path | str) -> tuple[str, bool]:
+    """Findings on a bag, one a line, and whether it is sound."""
+    verdict = verify(path)
+    lines = [f"{finding.level}: {finding.where}: {finding.sentence}" for finding in verdict.findings]
+    if verdict.left_out:
+        lines.append(f"... and {verdict.left_out} more")
+    samples = sum(count.samples for count in verdict.samples.values())
+    seen = f"{verdict.messages} messages, {samples} samples, {verdict.bytes / 1e6:.1f} MB"
+    lines.append(f"{'sound' if verdict.sound else 'NOT sound'}: {seen} checked in {path}")
+    return "\n".join(lines), verdict.sound
+
+
+def estimate_text(source: Path | str, directory: Path | str) -> str:
+    """Estimate a bag anew into another; what was computed, and how it compares with what was recorded live."""
+    report = estimate_bag(source, directory)
+    took = f"{report.recorded:.1f} s computed in {report.computing:.1f} s, {report.speed:.0f} times real time"
+    lines = [f"{took}, to {directory}"]
+    for c in compare_estimates(Bag(source), Bag(directory)):
+        if c.recorded:
+            lines.append(
+                f"{c.topic}: {c.recorded} recorded live, {c.computed} computed, {c.equal} equal in every field"
+            )
+        elif c.computed:
+            lines.append(f"{c.topic}: {c.computed} computed, none recorded")
+    if report.unexplained:
+        lines.append(f"{report.unexplained} summaries of stability name causes that the log does not hold")
+    return "\n".join(lines)
