@@ -63,13 +63,9 @@ setup(
             "ros-jazzy-rclpy>=7.1.6",
             "ros-jazzy-rmw-fastrtps-cpp>=8.4.3",
         ],
-<<<<<<< HEAD
-        "test": ["h5py>=3.10", "hypothesis>=6.100", "pandas>=2.1", "pyarrow>=14.0", "pytest>=8.0", "rosbags>=0.10.11"],
-=======
         # `squeal-rig bag export` to Parquet and HDF5, and the readers for notebooks.
         "export": ["h5py>=3.10", "pandas>=2.1", "pyarrow>=14.0"],
-        "test": ["h5py>=3.10", "hypothesis>=6.100", "pandas>=2.1", "pyarrow>=14.0", "pytest>=8.0", "rosbags>=0.10.4"],
->>>>>>> d750988 (Bag commands: export, estimate, info with samples; readers for notebooks)
+        "test": ["h5py>=3.10", "hypothesis>=6.100", "pandas>=2.1", "pyarrow>=14.0", "pytest>=8.0", "rosbags>=0.10.11"],
         # Pinned to a minor version: another one may format or judge the same code differently.
         "lint": ["import-linter>=2.15,<3", "mypy>=2.4,<2.5", "ruff>=0.17.6,<0.18"],
         # colcon still calls setup.py, with options that setuptools 80 has dropped.
