@@ -1,0 +1,115 @@
+"""What `verify` tells: a sound bag is sound, and each kind of fault is named."""
+
+import shutil
+
+import pytest
+from bag_making import START, block_cdr, schema_of, write_bag
+
+from squeal_rig.errors import RecordingError
+from squeal_rig.recording import BagWriter
+from squeal_rig.recording.verify import verify
+
+
+def errors(directory):
+    return [finding.sentence for finding in verify(directory).findings if finding.level == "error"]
+
+
+@pytest.fixture
+def bag(tmp_path):
+    write_bag(tmp_path / "run", blocks=50)
+    return tmp_path / "run"
+
+
+def test_a_sound_bag_has_no_findings(bag):
+    verdict = verify(bag)
+    assert verdict.findings == []
+    assert verdict.messages == 101
+    assert verdict.samples["/daq/samples"].samples == 50 * 64
+
+
+def test_lost_samples_are_counted_by_seq(tmp_path):
+    write_bag(tmp_path / "run", blocks=50, skip=(10, 11, 30))
+    count = verify(tmp_path / "run").samples["/daq/samples"]
+    assert (count.gaps, count.lost) == (2, 3 * 64)
+    assert "192 samples are missing in 2 gaps by seq" in errors(tmp_path / "run")
+
+
+def test_seq_wraps_at_32_bits_without_a_gap(tmp_path):
+    last = 2**32 // 64 - 1
+    cloud = schema_of("sensor_msgs/msg/PointCloud2")
+    with BagWriter(tmp_path / "run") as writer:
+        handle = writer.add_topic("/daq/samples", cloud.type_name, schema=cloud)
+        for number in (last, 0):
+            time = START + (number == 0)
+            data = bytearray(block_cdr(0, time))
+            first = len(data) - 1 - 64 * 24
+            for row in range(64):
+                data[first + row * 24 + 16 : first + row * 24 + 20] = (number * 64 + row).to_bytes(4, "little")
+            writer.write(handle, bytes(data), time, time)
+    assert errors(tmp_path / "run") == []
+
+
+def test_an_unclosed_file_is_named(tmp_path):
+    write_bag(tmp_path / "run", ending=None)
+    assert any("was not closed" in sentence for sentence in errors(tmp_path / "run"))
+
+
+def test_log_time_that_goes_back_is_named(tmp_path):
+    cloud = schema_of("sensor_msgs/msg/PointCloud2")
+    with BagWriter(tmp_path / "run") as writer:
+        handle = writer.add_topic("/daq/samples", cloud.type_name, schema=cloud)
+        for number, time in enumerate((START, START + 10, START + 5)):
+            writer.write(handle, block_cdr(number, time), time, time)
+    assert "log time goes back 1 times" in errors(tmp_path / "run")
+
+
+def test_missing_messages_are_named_by_their_numbers(tmp_path):
+    cloud = schema_of("sensor_msgs/msg/PointCloud2")
+    with BagWriter(tmp_path / "run") as writer:
+        handle = writer.add_topic("/daq/samples", cloud.type_name, schema=cloud)
+        for block, number in enumerate((0, 1, 5)):
+            writer.write(handle, block_cdr(block, START + block), START + block, START, number)
+    assert "3 messages are missing by their numbers" in errors(tmp_path / "run")
+
+
+def test_metadata_that_disagrees_is_named(bag):
+    path = bag / "metadata.yaml"
+    path.write_text(path.read_text().replace("message_count: 50", "message_count: 51"))
+    assert any("says 51 messages of /daq/samples; there are 50" in sentence for sentence in errors(bag))
+
+
+def test_a_missing_file_of_a_split_bag_is_an_error(tmp_path):
+    write_bag(tmp_path / "run", max_file_size=100_000)
+    (tmp_path / "run" / "run_1.mcap").unlink()
+    assert any("run_1.mcap" in sentence for sentence in errors(tmp_path / "run"))
+
+
+def test_messages_that_do_not_fit_their_definition_are_named(tmp_path):
+    text = schema_of("std_msgs/msg/String")
+    with BagWriter(tmp_path / "run") as writer:
+        handle = writer.add_topic("/words", text.type_name, schema=text)
+        writer.write(handle, b"\0\1\0\0\xff\xff", START, START)
+    assert any("do not fit their definition" in sentence for sentence in errors(tmp_path / "run"))
+
+
+def test_a_metadata_record_changed_by_hand_is_named(bag):
+    """The seal of a record holds even where the file's own checksums were made to fit again."""
+    from squeal_rig.recording.sealed import is_intact, sealed
+
+    record = sealed({"node": "/rig", "values": "preload: 50.0"})
+    assert is_intact(record)
+    assert is_intact({**record, "values": "preload: 60.0"}) is False
+    assert is_intact({"node": "/rig"}) is None
+
+
+def test_what_is_no_bag_is_refused_in_a_sentence(tmp_path):
+    with pytest.raises(RecordingError, match="no bag"):
+        verify(tmp_path / "nothing")
+
+
+def test_a_bag_without_metadata_yaml_is_sound_with_a_warning(bag):
+    (bag / "metadata.yaml").unlink()
+    verdict = verify(bag)
+    assert verdict.sound
+    assert any("metadata.yaml" in finding.where for finding in verdict.findings)
+    shutil.rmtree(bag)

@@ -1,0 +1,55 @@
+"""The last seconds in memory: what is kept, what goes, what a snapshot begins with."""
+
+from bag_making import LATCHED, schema_of
+from hypothesis import given
+from hypothesis import strategies as st
+
+from squeal_rig.recording import BagWriter
+from squeal_rig.recording.ring import KeptMessage, MessageRing
+
+_S = 10**9
+
+
+def handles(tmp_path):
+    text = schema_of("std_msgs/msg/String")
+    with BagWriter(tmp_path / "bag") as writer:
+        return writer.add_topic("/often", text.type_name, schema=text), writer.add_topic(
+            "/latched", text.type_name, [LATCHED], text
+        )
+
+
+def test_messages_older_than_the_duration_go(tmp_path):
+    often, _ = handles(tmp_path)
+    ring = MessageRing(2.0, 10**9)
+    for second in range(10):
+        ring.add(KeptMessage(often, b"x", second * _S, 0))
+    assert [m.log_time // _S for m in ring.take()] == [7, 8, 9]
+    assert len(ring) == 0
+    assert ring.bytes == 0
+
+
+def test_a_latched_value_from_before_comes_first_with_its_own_publish_time(tmp_path):
+    often, latched = handles(tmp_path)
+    ring = MessageRing(2.0, 10**9)
+    ring.add(KeptMessage(latched, b"old", 0, 5), latched=True)
+    ring.add(KeptMessage(latched, b"description", 1 * _S, 6), latched=True)
+    for second in range(2, 10):
+        ring.add(KeptMessage(often, b"x", second * _S, 0))
+    taken = ring.take()
+    assert (taken[0].data, taken[0].log_time, taken[0].publish_time) == (b"description", 7 * _S, 6)
+    assert [m.data for m in taken[1:]] == [b"x"] * 3
+    ring.add(KeptMessage(often, b"y", 10 * _S, 0))
+    assert [m.data for m in ring.take()] == [b"description", b"y"], "the next snapshot has it too"
+
+
+@given(st.lists(st.integers(0, 400), max_size=60), st.integers(1, 1000))
+def test_memory_stays_within_its_bound(tmp_path_factory, sizes, bound):
+    ring = MessageRing(1e6, bound)
+    often, _ = _HANDLES or _HANDLES.extend(handles(tmp_path_factory.mktemp("ring"))) or _HANDLES
+    for time, size in enumerate(sizes):
+        ring.add(KeptMessage(often, bytes(size), time, time))
+        assert ring.bytes <= bound
+    assert ring.shortened == (sum(sizes) > bound)
+
+
+_HANDLES = []

@@ -1,0 +1,200 @@
+"""A bag being played: spacing, rate, pause, step, seek, loop, start offset, names."""
+
+import threading
+import time
+
+import pytest
+from bag_making import START, write_bag
+
+from squeal_rig.errors import ParameterError, RecordingError
+from squeal_rig.recording import Bag
+from squeal_rig.recording.replay import ReplayClock, remapped
+from squeal_rig.recording.settings import PlayerSettings
+from squeal_rig.recording.transport import Transport
+
+DAQ = ("/daq/samples",)
+PATIENCE = 10.0
+
+
+class Player:
+    """A transport in a thread, and what it played: (message, steady time)."""
+
+    def __init__(self, bag, topics=DAQ, rate=1.0, start=0.0, limit=50e6, **flags):
+        self.transport = Transport(Bag(bag), topics, rate, limit, start)
+        for name, value in flags.items():
+            if name == "paused":
+                self.transport.pause()
+            else:
+                setattr(self.transport, name, value)
+        self.played, self.ticks = [], []
+        self._grew = threading.Condition()
+        self.thread = threading.Thread(target=self.transport.run, args=(self._publish, self.ticks.append))
+
+    def _publish(self, message):
+        with self._grew:
+            self.played.append((message, time.monotonic()))
+            self._grew.notify_all()
+
+    def wait(self, count):
+        with self._grew:
+            assert self._grew.wait_for(lambda: len(self.played) >= count, PATIENCE)
+
+    def grows_within(self, seconds):
+        """Whether more than what may have been on its way is played in that time."""
+        with self._grew:
+            count = len(self.played) + 1
+            return self._grew.wait_for(lambda: len(self.played) > count, seconds)
+
+    def numbers(self):
+        return [round((m.log_time - START - 1000) / 1e7) for m, _ in self.played if m.topic == DAQ[0]]
+
+    def __enter__(self):
+        self.thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self.transport.stop()
+        self.thread.join(PATIENCE)
+        assert not self.thread.is_alive()
+
+    def finish(self):
+        self.thread.join(PATIENCE)
+        assert not self.thread.is_alive()
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("transport") / "run"
+    write_bag(directory, blocks=100)
+    return directory
+
+
+@pytest.mark.parametrize("rate", [1.0, 4.0])
+def test_the_recorded_spacing_is_kept_at_any_rate(bag, rate):
+    with Player(bag, rate=rate) as player:
+        player.finish()
+    assert player.numbers() == list(range(100))
+    first, begun = player.played[0]
+    late = sorted((t - begun) - (m.log_time - first.log_time) * 1e-9 / rate for m, t in player.played)
+    # Half of the messages within 1 ms of their moment: far more than was measured, since machines are busy.
+    assert abs(late[50]) < 1e-3
+
+
+def test_rate_0_is_bounded_by_bytes_per_second(bag):
+    size = sum(len(m.data) for m in Bag(bag).messages(DAQ))
+    with Player(bag, rate=0.0, limit=size / 0.5) as player:
+        player.finish()
+    took = player.played[-1][1] - player.played[0][1]
+    assert 0.45 < took < 0.5 + PATIENCE
+    with Player(bag, rate=0.0, limit=1e9) as fast:
+        fast.finish()
+    assert fast.played[-1][1] - fast.played[0][1] < 0.45, "without the bound it is faster"
+
+
+def test_pause_stops_and_resume_goes_on_without_a_gap(bag):
+    with Player(bag) as player:
+        player.wait(10)
+        player.transport.pause()
+        position = player.transport.position
+        assert not player.grows_within(0.1)
+        assert player.transport.position == position
+        player.transport.resume()
+        player.finish()
+    assert player.numbers() == list(range(100))
+
+
+def test_step_plays_one_message_while_paused(bag):
+    with Player(bag, paused=True) as player:
+        for count in (1, 2, 3):
+            player.transport.step()
+            player.wait(count)
+        assert not player.grows_within(0.1)
+    assert player.numbers() == [0, 1, 2]
+
+
+def test_step_while_playing_is_refused(bag):
+    transport = Transport(Bag(bag), DAQ, 1.0, 1e6)
+    with pytest.raises(RecordingError, match="pause first"):
+        transport.step()
+
+
+def test_seek_goes_on_elsewhere_forwards_and_back(bag):
+    with Player(bag, rate=10.0) as player:
+        player.wait(5)
+        player.transport.seek(0.8)
+        player.wait(10)
+        player.transport.seek(0.2)
+        player.finish()
+    numbers = player.numbers()
+    assert 80 in numbers
+    back = numbers.index(20, numbers.index(80))
+    assert numbers[back:] == list(range(20, 100))
+
+
+def test_a_start_within_the_bag_begins_with_the_latched_values(bag):
+    with Player(bag, topics=(*DAQ, "/rig/description"), rate=100.0, start=0.5) as player:
+        player.finish()
+    assert player.played[0][0].topic == "/rig/description"
+    assert player.numbers() == list(range(50, 100))
+
+
+def test_a_loop_begins_again_at_the_start(bag):
+    with Player(bag, rate=100.0, start=0.9, loop=True) as player:
+        player.wait(25)
+    assert player.numbers()[:25] == [*range(90, 100), *range(90, 100), *range(90, 95)]
+
+
+def test_the_rate_can_be_changed_on_the_way(bag):
+    with Player(bag, rate=0.01) as player:
+        player.wait(1)
+        player.transport.set_rate(100.0)
+        player.finish()
+    assert player.numbers() == list(range(100))
+
+
+def test_ticks_never_run_ahead_of_the_messages(bag):
+    with Player(bag, rate=20.0) as player:
+        player.finish()
+    assert player.ticks == sorted(player.ticks)
+    assert player.ticks[-1] == player.played[-1][0].log_time
+
+
+def test_a_place_behind_the_end_is_refused(bag):
+    with pytest.raises(RecordingError, match="behind the bag's end"):
+        Transport(Bag(bag), DAQ, 1.0, 1e6, start=5.0)
+
+
+def test_the_clock_keeps_its_time_through_pause_and_change_of_rate():
+    clock = ReplayClock(START, 1.0, 1e6, now=10.0)
+    assert clock.due(START + 10**9) == 11.0
+    clock.pause(10.5)
+    assert clock.due(START + 10**9) == float("inf")
+    clock.resume(20.0)
+    assert clock.due(START + 10**9) == pytest.approx(20.5)
+    clock.set_rate(2.0, 20.25)
+    assert clock.due(START + 10**9) == pytest.approx(20.375)
+    assert clock.now(20.375) == START + 10**9
+
+
+@pytest.mark.parametrize(
+    ("rules", "names"),
+    [
+        (["/daq/samples:=/old/daq"], {"/daq/samples": "/old/daq", "/x": "/x"}),
+        (["/:=/lab/"], {"/daq/samples": "/lab/daq/samples", "/x": "/lab/x"}),
+        (["/daq/:=/lab/daq/"], {"/daq/samples": "/lab/daq/samples", "/x": "/x"}),
+    ],
+)
+def test_topics_are_played_under_other_names(rules, names):
+    assert remapped(["/daq/samples", "/x"], rules) == names
+
+
+@pytest.mark.parametrize("rule", ["/x", "x:=/y", "/x:=y", "/x:=/y/", "/no:=/y", "/x:=/daq/samples"])
+def test_a_rule_that_means_nothing_is_refused(rule):
+    with pytest.raises(RecordingError, match="remap"):
+        remapped(["/daq/samples", "/x"], [rule])
+
+
+@pytest.mark.parametrize("rate", [0.001, -1.0, 101.0])
+def test_a_rate_out_of_bounds_is_refused(rate):
+    with pytest.raises(ParameterError, match="rate"):
+        PlayerSettings(rate=rate)

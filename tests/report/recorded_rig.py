@@ -1,0 +1,126 @@
+"""A recording as the live nodes leave it, made from the virtual rig without ROS: samples, friction, stability."""
+
+import numpy as np
+from rosbags.typesys import Stores, get_typestore
+
+from squeal_rig.estimation.friction import FrictionEstimator
+from squeal_rig.estimation.settings import FrictionSettings
+from squeal_rig.estimation.stability_follower import Estimate, InForce, StabilityFollower
+from squeal_rig.instruments.acquisition import Acquisition
+from squeal_rig.instruments.channels import FRICTION_SAMPLE_RECORD
+from squeal_rig.instruments.description import RigDescription
+from squeal_rig.instruments.settings import RigSettings
+from squeal_rig.instruments.virtual import VirtualRig
+from squeal_rig.model import RigParameters
+from squeal_rig.recording import BagWriter, MessageSchema, QosProfile, cdr_from_samples
+
+TYPES = get_typestore(Stores.ROS2_JAZZY)
+LATCHED = QosProfile(depth=1, durability="transient_local")
+PARAMETERS = RigParameters().replace(damping_x=20.0, damping_y=20.0)
+START = 10**18
+CLOUD = "sensor_msgs/msg/PointCloud2"
+TOPICS = {
+    "rig/description": "std_msgs/msg/String",
+    "daq/samples": CLOUD,
+    "truth/samples": CLOUD,
+    "friction/samples": CLOUD,
+    "friction/windows": CLOUD,
+    "friction/mu": "std_msgs/msg/Float64",
+    "friction/model": "std_msgs/msg/Float64MultiArray",
+    "stability/summary": "diagnostic_msgs/msg/DiagnosticArray",
+    "stability/eigenvalues": "std_msgs/msg/Float64MultiArray",
+}
+
+
+def schema_of(type_name):
+    text, _ = TYPES.generate_msgdef(type_name, ros_version=2)
+    return MessageSchema(type_name, text, TYPES.hash_rihs01(type_name))
+
+
+def serialised(type_name, *fields):
+    return bytes(TYPES.serialize_cdr(TYPES.types[type_name](*fields), type_name))
+
+
+class Recording:
+    """Writes what the nodes publish, serialised by `rosbags` and not by the code under test."""
+
+    def __init__(self, directory, prefix="/", live=True, late=0):
+        self.writer = BagWriter(directory)
+        names = [name for name in TOPICS if live or not name.startswith(("friction", "stability"))]
+        self.handles = {
+            name: self.writer.add_topic(prefix + name, TOPICS[name], [LATCHED], schema_of(TOPICS[name]))
+            for name in names
+        }
+        self.live, self.late = live, late
+        self.friction = FrictionEstimator(RigDescription(PARAMETERS), FrictionSettings())
+        self.stability = StabilityFollower()
+        self.daq, self.truth = [], []
+        self.time = START
+
+    def put(self, name, data):
+        self.time += 1000
+        if self.live or name in self.handles:
+            self.writer.write(self.handles[name], data, self.time, self.time)
+
+    def describe(self, parameters):
+        rig = RigDescription(parameters)
+        self.put("rig/description", serialised("std_msgs/msg/String", rig.to_yaml()))
+        self.stability.take_rig(rig)
+        self.summarise()
+
+    def take(self, block):
+        self.time = max(self.time, block.stamp)
+        self.put("daq/samples", cdr_from_samples(block.daq, block.stamp))
+        self.put("truth/samples", cdr_from_samples(block.truth, block.stamp))
+        self.daq.append(np.array(block.daq))
+        self.truth.append(np.array(block.truth))
+        if self.live:
+            self.estimate(block)
+
+    def estimate(self, block):
+        mu, valid, windows = self.friction.add_samples(block.stamp, block.daq)
+        samples = np.zeros(len(mu), FRICTION_SAMPLE_RECORD)
+        samples["t"], samples["mu"], samples["valid"], samples["seq"] = block.daq["t"], mu, valid, block.daq["seq"]
+        self.put("friction/samples", cdr_from_samples(samples, block.stamp))
+        for window in windows + self.friction.add_truth(block.truth):
+            self.put("friction/windows", cdr_from_samples(window.as_record(), window.stamp))
+            self.put("friction/mu", serialised("std_msgs/msg/Float64", window.values["mu"]))
+            self.stability.take_estimate(Estimate(window.values["mu_ratio_of_means"], window.values["t_end"]))
+        last = block.daq[-1]
+        self.stability.take_block(InForce(float(last["preload"]), float(last["belt_speed"]), int(last["seq"])))
+        self.summarise()
+
+    def summarise(self):
+        now = self.time * 1e-9
+        if not self.live or not self.stability.is_due(now):
+            return
+        types, summary = TYPES.types, self.stability.summary(now)
+        rows = np.array(summary.eigenvalues)
+        dimension = types["std_msgs/msg/MultiArrayDimension"]
+        layout = types["std_msgs/msg/MultiArrayLayout"](
+            [dimension("eigenvalue [rad/s]", 4, 8), dimension("re, im", 2, 2)], 0
+        )
+        self.put("stability/eigenvalues", serialised("std_msgs/msg/Float64MultiArray", layout, rows.reshape(-1)))
+        pair, status = types["diagnostic_msgs/msg/KeyValue"], types["diagnostic_msgs/msg/DiagnosticStatus"]
+        statuses = [
+            status(s.level, s.name, s.message, "", [pair(key, value) for key, value in s.values.items()])
+            for s in summary.statuses
+        ]
+        seconds, rest = divmod(self.time, 10**9)
+        header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](seconds, rest), "rig")
+        self.put("stability/summary", serialised("diagnostic_msgs/msg/DiagnosticArray", header, statuses))
+
+
+def record(directory, blocks=150, prefix="/", live=True):
+    """Quiet at 50 N, a change of the set point after a third, and all that the nodes make of it."""
+    rig = Acquisition(VirtualRig(), PARAMETERS, RigSettings())
+    rig.start(START)
+    recording = Recording(directory, prefix, live)
+    recording.describe(PARAMETERS)
+    for number in range(blocks):
+        if number == blocks // 3:
+            rig.set_point = PARAMETERS.replace(preload=120.0)
+            recording.describe(rig.set_point)
+        recording.take(rig.next_block())
+    recording.writer.close("completed")
+    return recording
