@@ -46,7 +46,7 @@ class PlayerNode(Node):
             raise RecordingError("player: bag is empty: give the folder or .mcap file to play")
         self._bag = Bag(settings.bag)
         self._skipped: dict[str, str] = {}
-        self._outputs = self._publishers()
+        self._outputs = self._make_outputs()
         self._transport = Transport(
             self._bag, self._outputs, settings.rate, settings.max_rate * 1e6, settings.start_offset
         )
@@ -68,7 +68,7 @@ class PlayerNode(Node):
         settings: PlayerSettings = self._declared.group(PlayerSettings)
         return settings
 
-    def _publishers(self) -> dict[str, Publisher]:
+    def _make_outputs(self) -> dict[str, Publisher]:
         """A publisher for each recorded topic that is played, by its recorded name."""
         settings, topics = self._settings, self._bag.topics
         chosen = matching_topics(topics, settings.topics)

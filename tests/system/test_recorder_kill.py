@@ -1,0 +1,73 @@
+"""Kill -9 of the recorder under full load: all but the last second comes back, byte for byte."""
+
+import random
+import signal
+import time
+
+import pytest
+from bag_nodes import published
+from full_load import CLOUDS, ROWS, SMALL, payload, small_payload
+
+from squeal_rig.recording import Bag, samples_from_cdr
+from squeal_rig.recording.recover import recover
+from squeal_rig.recording.verify import verify
+
+
+def same(got, sent):
+    """Whether all bytes sent are there; the middleware fills a payload up to four bytes with zeros."""
+    return got[: len(sent)] == sent and got[len(sent) :] == bytes(-len(sent) % 4)
+
+
+def kill_and_recover(children, client, tmp_path, number, moment):
+    """Record the load into a new bag, kill at `moment` [s] after the first blocks; check what comes back."""
+    directory = tmp_path / f"run{number}"
+    client.health.clear()
+    recorder = children.node("recorder", directory=directory)
+    client.wait_for(lambda: client.messages_recorded() > 0, "the first recorded message")
+    time.sleep(moment)  # the moment of the kill itself, not a wait for something
+    recorder.send_signal(signal.SIGKILL)
+    killed = time.time_ns()
+    recorder.wait(10)
+    report = recover(directory, tmp_path / f"out{number}")
+    assert not report.closed
+    assert report.lost == report.damaged_chunks == report.unproved == 0
+    bag = Bag(tmp_path / f"out{number}")
+    numbers = {topic: [] for topic in (*CLOUDS, *SMALL)}
+    last = 0
+    for message in bag.messages():
+        last = max(last, message.log_time)
+        if message.topic in CLOUDS:
+            block = int(samples_from_cdr(message.data).samples["seq"][0]) // ROWS
+            assert same(message.data, payload(message.topic, block))
+            numbers[message.topic].append(block)
+        elif message.topic in SMALL:
+            seconds, rest = (int.from_bytes(message.data[at : at + 4], "little") for at in (4, 8))
+            block = (seconds - 1_700_000_000) * 100 + rest // 10_000_000
+            assert same(message.data, small_payload(message.topic, block))
+            numbers[message.topic].append(block)
+    for topic, got in numbers.items():
+        assert got == list(range(got[0], got[0] + len(got))), f"a gap in {topic}"
+    assert killed - last < 1e9, "more than the last second is lost"
+    assert verify(tmp_path / f"out{number}").sound
+    return (killed - last) * 1e-9
+
+
+@pytest.fixture
+def load(children, tmp_path):
+    log = tmp_path / "load.txt"
+    children.load(log)
+    return log
+
+
+def test_a_killed_recorder_loses_less_than_the_last_second(children, client, tmp_path, load, record_property):
+    moments = random.Random(31)
+    lost = [kill_and_recover(children, client, tmp_path, n, moments.uniform(0.0, 1.5)) for n in range(2)]
+    record_property("seconds_lost", lost)
+    assert published(load)[0] > 0
+
+
+@pytest.mark.bench
+def test_50_kills(children, client, tmp_path, load):
+    moments = random.Random(32)
+    lost = [kill_and_recover(children, client, tmp_path, n, moments.uniform(0.0, 3.0)) for n in range(50)]
+    print(f"\n50 kills: lost at most {max(lost):.3f} s, {sum(lost) / len(lost):.3f} s in the mean")  # noqa: T201
