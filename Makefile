@@ -5,7 +5,7 @@ PY := .venv/bin/python
 # Given after the command of a target, as in: make test ARGS="-k friction"
 ARGS ?=
 
-.PHONY: help demo test lint docs clean
+.PHONY: help demo test lint docs bench clean
 .DEFAULT_GOAL := help
 
 # A ROS installation or another environment around us would mix its libraries with ours.
@@ -17,6 +17,7 @@ help:
 	@echo "make test    run the tests (ARGS: options for pytest)"
 	@echo "make lint    check style, types and imports"
 	@echo "make docs    write docs/parameters.md anew from the code"
+	@echo "make bench   long series of tests, and recording, replay and export measured at full load (half an hour)"
 	@echo "make clean   remove .venv, caches and build output; recordings stay"
 	@echo "Another Python: make PYTHON=python3.12 ..."
 
@@ -34,6 +35,10 @@ lint: .venv/.lint
 
 docs: .venv/.ready
 	$(PY) -m squeal_rig.experiments.parameter_table > docs/parameters.md
+
+bench: .venv/.ready
+	$(PY) -m pytest -m bench -s $(ARGS)
+	$(PY) tests/system/measure_bags.py 600
 
 clean:
 	rm -rf .venv build install log dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .import_linter_cache

@@ -16,6 +16,7 @@ from squeal_rig.instruments.description import RigDescription
 from squeal_rig.model.friction import friction_coefficient
 from squeal_rig.model.parameters import RigParameters
 from squeal_rig.model.stability import stability_report
+from squeal_rig.recording.cdr import text_of
 
 #: While the operating point slews, what is in force is analysed at most this often [s].
 IN_FORCE_PERIOD = 0.05
@@ -82,15 +83,6 @@ def summary_of(
 def description_crc(rig: RigDescription) -> str:
     """A short name of a description: the CRC-32 of its text."""
     return f"{zlib.crc32(rig.to_yaml().encode()):08x}"
-
-
-def text_of(value: object) -> str:
-    """A value as a diagnostic text; floats are written so that they read back bit for bit, nan as `none`."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, float):
-        return "none" if math.isnan(value) else repr(float(value))
-    return str(value)
 
 
 class StabilityFollower:

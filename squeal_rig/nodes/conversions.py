@@ -14,7 +14,7 @@ from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState, PointCloud2, PointField
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
-from squeal_rig.estimation.stability_follower import text_of
+from squeal_rig.recording.cdr import text_of
 
 FRAME = "rig"
 _FIELD_TYPES = {

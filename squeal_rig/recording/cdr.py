@@ -5,6 +5,7 @@ CDR, little-endian (OMG DDSI-RTPS 2.3, section 10): numbers are aligned to their
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from struct import pack
 
@@ -92,3 +93,12 @@ def diagnostics_message(
             writer.text(key)
             writer.text(value)
     return writer.done()
+
+
+def text_of(value: object) -> str:
+    """A value as a diagnostic text; floats are written so that they read back bit for bit, nan as `none`."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float):
+        return "none" if math.isnan(value) else repr(float(value))
+    return str(value)

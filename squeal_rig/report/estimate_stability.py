@@ -17,11 +17,10 @@ from squeal_rig.estimation.stability_follower import (
     StabilitySummary,
     description_crc,
     summary_of,
-    text_of,
 )
 from squeal_rig.instruments.description import RigDescription
 from squeal_rig.recording import RawMessage
-from squeal_rig.recording.cdr import diagnostics_message, multi_array_message
+from squeal_rig.recording.cdr import diagnostics_message, multi_array_message, text_of
 from squeal_rig.report.estimate_output import EIGENVALUES, SUMMARY, EstimateOutput
 
 # A summary may be recorded a little before what it was made from: it waits for this much of the log [ns].

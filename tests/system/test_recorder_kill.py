@@ -19,11 +19,19 @@ def same(got, sent):
 
 
 def kill_and_recover(children, client, tmp_path, number, moment):
-    """Record the load into a new bag, kill at `moment` [s] after the first blocks; check what comes back."""
+    """Record the load into a new bag, kill at `moment` [s] after all topics come in; check what comes back."""
     directory = tmp_path / f"run{number}"
     client.health.clear()
     recorder = children.node("recorder", directory=directory)
-    client.wait_for(lambda: client.messages_recorded() > 0, "the first recorded message")
+    rates = []
+
+    def full_rate():
+        """Between two reports of the recorder, a second apart, all topics came in: discovery is over."""
+        if not rates or rates[-1] != client.messages_recorded():
+            rates.append(client.messages_recorded())
+        return len(rates) > 1 and rates[-1] - rates[-2] >= 480
+
+    client.wait_for(full_rate, "five topics at 100 Hz")
     time.sleep(moment)  # the moment of the kill itself, not a wait for something
     recorder.send_signal(signal.SIGKILL)
     killed = time.time_ns()
