@@ -5,7 +5,7 @@ PY := .venv/bin/python
 # Given after the command of a target, as in: make test ARGS="-k friction"
 ARGS ?=
 
-.PHONY: help demo test lint bench docs clean
+.PHONY: help demo reproduce test lint bench docs clean
 .DEFAULT_GOAL := help
 
 # A ROS installation or another environment around us would mix its libraries with ours.
@@ -14,6 +14,7 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 help:
 	@echo "make demo    run the rig from quiet sliding into squeal; leaves a bag and a picture in bags/"
+	@echo "make reproduce  the paper's figures and tables, beside its numbers; leaves reproduction/"
 	@echo "make test    run the tests (ARGS: options for pytest)"
 	@echo "make lint    check style, types and imports"
 	@echo "make bench   measure speed (ARGS: options for pytest)"
@@ -23,6 +24,9 @@ help:
 
 demo: .venv/.ready
 	.venv/bin/squeal-rig demo $(ARGS)
+
+reproduce: .venv/.ready
+	.venv/bin/squeal-rig reproduce $(ARGS)
 
 test: .venv/.ready
 	$(PY) -m pytest $(ARGS)

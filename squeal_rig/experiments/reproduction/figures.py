@@ -207,7 +207,7 @@ def peak_figure(small: Sequence[PeakCurve], impact: Sequence[PeakCurve]) -> Pict
                 axis = axes[row, column]
                 for number, curve in enumerate(c for c in curves if c.stiffness == stiffness):
                     _draw_peaks(axis, curve, number)
-                start = "small start (0.1 u)" if row == 0 else f"impact start ({curves[0].start:g} u)"
+                start = f"{'small' if row == 0 else 'impact'} start, {curves[0].start:g} u"
                 axis.set_title(f"({'abc'[column]}) {stiffness / 1e7:g}e7 N/m, {start}", loc="left", fontsize=9)
                 axis.set(yscale="log", ylim=(1e-3, 100.0))
                 axis.legend(loc="lower right", fontsize=7)

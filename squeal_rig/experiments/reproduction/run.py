@@ -223,7 +223,7 @@ def _jump_table(r: Results) -> DataTable:
         "jump, impact start [N]",
     )
     caption = (
-        f"Jump: the preload above which the peak exceeds {nonlinear.JUMP_FACTOR:g} times a small start's displacement."
+        f"Jump: the preload above which the peak exceeds {nonlinear.SQUEAL_COMPRESSIONS:g} static compressions."
         " Looked for up to the parameter's bound, beyond the figure."
     )
     return DataTable("fig_12_jumps", caption, columns, rows)

@@ -55,8 +55,11 @@ def mode_coupling(loci: Sequence[Locus]) -> Statement:
 
 
 def preload_lowers(preloads: Values, speeds: Values, critical: Values) -> Statement:
-    """2. k_cr falls with preload at every belt speed."""
-    falls = [bool((np.diff(row) < 0.0).all()) for row in critical]
+    """2. k_cr falls with preload at every belt speed, from the lowest preload on at which there is one."""
+    falls = []
+    for row in critical:
+        first = int(np.argmax(np.isfinite(row)))
+        falls.append(bool(np.isfinite(row[first:]).all() and (np.diff(row[first:]) < 0.0).all()))
     worst = [f"{v:g}" for v, ok in zip(speeds, falls, strict=True) if not ok]
     evidence = f"k_cr falls from {preloads[0]:g} to {preloads[-1]:g} N at V = {speeds[0]:g} to {speeds[-1]:g} m/s"
     return judged(
