@@ -109,9 +109,14 @@ def critical_figure(preloads: Values, curves: dict[float, Values], rows: Sequenc
 
 
 def map_figures(
-    preloads: Values, speeds: Values, critical: Values, stiffnesses: Values, growth: dict[float, Values]
+    preloads: Values,
+    speeds: Values,
+    critical: Values,
+    stiffnesses: Values,
+    growth: dict[float, Values],
+    boundary: dict[float, tuple[Values, Values]],
 ) -> list[Picture]:
-    """Beyond the paper: k_cr over (F, V), and growth rate over (F, k)."""
+    """Beyond the paper: k_cr over (F, V), and growth rate over (F, k) with its boundary (F, k_cr/1e7) at each speed."""
 
     def draw_critical(axes: Any) -> None:
         axis = axes[0, 0]
@@ -127,8 +132,9 @@ def map_figures(
         for axis, (speed, values) in zip(axes[0], growth.items(), strict=True):
             levels = np.linspace(0.0, top, 8)
             filled = axis.contourf(preloads, stiffnesses / 1e7, values.T, levels=levels[levels >= 1.0], cmap="Greys")
-            axis.contour(preloads, stiffnesses / 1e7, values.T, levels=[1.0], colors="#b2182b", linewidths=1.5)
-            axis.set(xlabel="preload F [N]", ylabel="k1 = k2 [10$^7$ N/m]", title=f"V = {speed:g} m/s")
+            axis.plot(*boundary[speed], color="#b2182b", lw=1.5, label="k$_{cr}$")
+            axis.legend(loc="upper left")
+            axis.set(xlabel="preload F [N]", ylabel="k1 = k2 [10$^7$ N/m]", title=f"V = {speed:g} m/s", ylim=(0, 10))
         axes[0, 0].figure.colorbar(filled, ax=list(axes[0]), label="largest Re $\\lambda$ [1/s]")
 
     return [

@@ -133,7 +133,8 @@ def _sections(r: Results) -> Iterable[Section]:
     yield Section("Friction law (Fig. 4b)", [law], [points], [figures.friction_figure(r.friction)])
     yield Section("Eigenvalues (Figs. 5 to 8)", pictures=[figures.locus_figure(locus) for locus in r.loci])
     critical = figures.critical_figure(r.preloads, r.curves, r.thresholds)
-    maps = figures.map_figures(r.preloads[::2], r.speeds, r.critical[:, ::2], r.stiffnesses, r.growth)
+    boundary = {speed: (r.preloads, curve / 1e7) for speed, curve in r.curves.items()}
+    maps = figures.map_figures(r.preloads[::2], r.speeds, r.critical[:, ::2], r.stiffnesses, r.growth, boundary)
     yield Section("Critical pad stiffness (Fig. 9) and beyond", pictures=[critical, *maps])
     yield Section("Spectra (Fig. 10)", tables=[_harmonic_table(r)], pictures=[figures.spectra_figure(r.spectra)])
     yield Section("Contact force (Fig. 11)", pictures=[figures.force_figure(r.forces)])
