@@ -87,7 +87,7 @@ def frequencies_similar(rows: Sequence[TableRow]) -> Statement:
     """4. Linear and nonlinear squeal frequencies are similar."""
     errors = [row.error for row in rows]
     evidence = (
-        f"they differ by {min(errors):.1%} to {max(errors):.1%} the paper's by {_SIMILAR:.1%} at most;"
+        f"they differ by {min(errors):.1%} to {max(errors):.1%}, the paper's by {_SIMILAR:.1%} at most;"
         " the rig's nonlinear frequency lies below the linear one, the paper's above"
     )
     return judged("Linear and nonlinear squeal frequencies are similar.", max(errors) <= _SIMILAR, evidence)
