@@ -15,6 +15,7 @@ import math
 
 import numpy as np
 
+from squeal_rig.errors import ModelError
 from squeal_rig.model.dynamics import (
     K_C,
     L_PRE,
@@ -41,7 +42,20 @@ from squeal_rig.model.propagator import (
     STEP_MATRIX,
     WEIGHTS,
 )
-from squeal_rig.model.series import EVENT, MAX_ORDER, ROWS, X, Y, evaluate, expand, first_zero, trusted_share
+from squeal_rig.model.series import (
+    EVENT,
+    MAX_ORDER,
+    NEAR_ORDER,
+    ROWS,
+    X,
+    Y,
+    evaluate,
+    expand,
+    expand_near,
+    first_zero,
+    first_zero_near,
+    trusted_share,
+)
 
 #: Columns of a recorded event: time from the start of the block [s], vy [m/s] (above 0: the pad leaves the belt).
 EVENT_TIME, EVENT_SPEED = 0, 1
@@ -51,8 +65,7 @@ TALLY_SIZE = 4
 #: How a block ended.
 DONE, NOT_FINITE, STUCK = 0, 1, 2
 
-# Near: rate times step is at most 0.25 and the arms' rotation is small, so 11 and 5 orders end in rounding.
-_NEAR_ORDER, _NEAR_ARM_ORDER = 11, 5
+# Beyond the near range; rate times step is at most 0.25, faster changes shorten the step.
 _FULL_ORDER, _FULL_ARM_ORDER = 14, 12
 _MAX_PIECES = 100_000
 _ROUNDING = 4.0 * 2.220446049250313e-16
@@ -66,6 +79,22 @@ def workspace() -> Vector:
 def empty_flow() -> Vector:
     """Room for the propagators of one set of parameters."""
     return np.zeros(FLOW_SIZE)
+
+
+def refuse_unless_done(ended: int, time: float) -> None:
+    """The status of a block as an error sentence; `time` [s] is how far into the block it came.
+
+    Raises:
+        ModelError: the motion left every bound, or changes too fast to be followed.
+    """
+    if ended == NOT_FINITE:
+        raise ModelError(
+            f"the motion left every bound {time:.4g} s into the block: no finite state to go on from"
+        )
+    if ended == STUCK:
+        raise ModelError(
+            f"the motion cannot be followed {time:.4g} s into the block: a step would need more than {_MAX_PIECES} pieces"
+        )
 
 
 @fused_kernel
@@ -89,42 +118,50 @@ def _slip_sign(state: Vector, q: Vector) -> float:
 
 
 @fused_kernel
-def next_piece(state: Vector, q: Vector, flow: Vector, rest: float, w: Vector) -> tuple[float, int]:
+def _rests_on_edge(gap: float, y: float, w: Vector) -> bool:
+    """Whether the pad stays on the very edge to rounding over the step: then there are no events to look for."""
+    return bool(max(max(abs(gap), abs(w[Y, 1])), max(abs(w[Y, 2]), abs(w[Y, 3]))) <= _ROUNDING * abs(y))
+
+
+@fused_kernel
+def next_piece(state: Vector, q: Vector, flow: Vector, rest: float, w: Vector) -> tuple[float, int, int]:
     """Expand the path from `state` in the workspace `w` over `rest` [s].
 
-    Returns how far it may be followed, as a share of `rest`, and what ends it there: 0 the series' accuracy or the end,
-    1 a contact event, 2 V - vx = 0.
+    Returns how far it may be followed, as a share of `rest`; the order of the series; and what ends it there: 0 its
+    accuracy or the end of the step, 1 a contact event, 2 V - vx = 0.
     """
     contact = is_in_contact(state, q)
     kinked = q[SLIP_SPEED] > 0.0
-    slip_sign = _slip_sign(state, q) if kinked else 1.0
-    near = not kinked and q[SLIP_DIRECTION] <= 0.0 and max(abs(state[0]), abs(state[1])) <= flow[NEAR]
-    share, order = 1.0, _NEAR_ORDER
-    if near and rest <= flow[STEP]:
-        expand(state, q, flow, contact, slip_sign, rest, _NEAR_ORDER, _NEAR_ARM_ORDER, w)
-    else:
-        order = _FULL_ORDER
-        expand(state, q, flow, contact, slip_sign, rest, _FULL_ORDER, _FULL_ARM_ORDER, w)
-        share = trusted_share(w, order)
-    what = 0
-    largest = 0.0
-    w[EVENT, 0] = state[1] - q[L_PRE]
-    for n in range(1, order + 1):
-        w[EVENT, n] = w[Y, n]
-        largest = max(largest, abs(w[Y, n]))
-    # A pad that rests on the very edge stays there to rounding: no events to look for.
-    if max(largest, abs(w[EVENT, 0])) > _ROUNDING * abs(state[1]):
-        tau = first_zero(w, EVENT, order, share)
+    gap = state[1] - q[L_PRE]
+    if (
+        max(abs(state[0]), abs(state[1])) <= flow[NEAR]
+        and rest <= flow[STEP]
+        and not (kinked or q[SLIP_DIRECTION] > 0.0)
+    ):
+        size, slope, end = expand_near(state, q, flow, contact, rest, w)
+        if _rests_on_edge(gap, state[1], w):
+            return 1.0, NEAR_ORDER, 0
+        w[Y, 0] = gap
+        tau = first_zero_near(w[Y], size, slope, end)
+        w[Y, 0] = state[1]
+        return (tau, NEAR_ORDER, 1) if tau >= 0.0 else (1.0, NEAR_ORDER, 0)
+    order, what = _FULL_ORDER, 0
+    expand(state, q, flow, contact, _slip_sign(state, q), rest, _FULL_ORDER, _FULL_ARM_ORDER, w)
+    share = trusted_share(w, order)
+    if not _rests_on_edge(gap, state[1], w):
+        w[Y, 0] = gap
+        tau = first_zero(w[Y, : order + 1], share)
+        w[Y, 0] = state[1]
         if tau >= 0.0:
             share, what = tau, 1
     if kinked:
         for n in range(order):
             w[EVENT, n] = -(n + 1) * w[X, n + 1] / rest
         w[EVENT, 0] = q[SPEED] - state[2]
-        tau = first_zero(w, EVENT, order - 1, share)
+        tau = first_zero(w[EVENT, :order], share)
         if 0.0 <= tau < share:
             share, what = tau, 2
-    return share, what
+    return share, order, what
 
 
 @fused_kernel
@@ -134,13 +171,10 @@ def careful_step(
     """Carry `state` over h [s] through every event on the way; `start` is the time in the block [s]."""
     rest = h
     for _ in range(_MAX_PIECES):
-        share, what = next_piece(state, q, flow, rest, w)
+        share, order, what = next_piece(state, q, flow, rest, w)
         if not share > 0.0:
-            finite = math.isfinite(state[0] + state[1] + state[2] + state[3])
-            return STUCK if finite else NOT_FINITE
-        near = not (q[SLIP_SPEED] > 0.0 or q[SLIP_DIRECTION] > 0.0)
-        near = near and rest <= flow[STEP] and max(abs(state[0]), abs(state[1])) <= flow[NEAR]
-        evaluate(w, _NEAR_ORDER if near else _FULL_ORDER, share, rest, state)
+            break
+        evaluate(w, order, share, rest, state)
         rest *= 1.0 - share
         if what == 1:
             state[1] = q[L_PRE]
@@ -148,9 +182,10 @@ def careful_step(
         elif what == 2:
             state[2] = q[SPEED]
         if rest <= 0.0:
-            finite = math.isfinite(state[0] + state[1] + state[2] + state[3])
-            return DONE if finite else NOT_FINITE
-    return STUCK
+            break
+    if not math.isfinite(state[0] + state[1] + state[2] + state[3]):
+        return NOT_FINITE
+    return DONE if rest <= 0.0 else STUCK
 
 
 @fused_kernel
