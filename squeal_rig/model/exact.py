@@ -54,6 +54,7 @@ from squeal_rig.model.series import (
     expand_near,
     first_zero,
     first_zero_near,
+    share_before_tanh_turns,
     trusted_share,
 )
 
@@ -68,6 +69,8 @@ DONE, NOT_FINITE, STUCK = 0, 1, 2
 # Beyond the near range; rate times step is at most 0.25, faster changes shorten the step.
 _FULL_ORDER, _FULL_ARM_ORDER = 14, 12
 _MAX_PIECES = 100_000
+# Where a diverging motion is given up: long before its numbers overflow.
+_BEYOND_M, _BEYOND_M_S = 1e6, 1e12
 _ROUNDING = 4.0 * 2.220446049250313e-16
 
 
@@ -148,6 +151,8 @@ def next_piece(state: Vector, q: Vector, flow: Vector, rest: float, w: Vector) -
     order, what = _FULL_ORDER, 0
     expand(state, q, flow, contact, _slip_sign(state, q), rest, _FULL_ORDER, _FULL_ARM_ORDER, w)
     share = trusted_share(w, order)
+    if contact and q[SLIP_DIRECTION] > 0.0:
+        share = min(share, share_before_tanh_turns(w, order))
     if not _rests_on_edge(gap, state[1], w):
         w[Y, 0] = gap
         tau = first_zero(w[Y, : order + 1], share)
@@ -183,7 +188,8 @@ def careful_step(
             state[2] = q[SPEED]
         if rest <= 0.0:
             break
-    if not math.isfinite(state[0] + state[1] + state[2] + state[3]):
+    # NaN fails this too.
+    if not (abs(state[0]) + abs(state[1]) <= _BEYOND_M and abs(state[2]) + abs(state[3]) <= _BEYOND_M_S):
         return NOT_FINITE
     return DONE if rest <= 0.0 else STUCK
 

@@ -283,6 +283,19 @@ def trusted_share(w: Vector, order: int) -> float:
 
 
 @fused_kernel
+def share_before_tanh_turns(w: Vector, order: int) -> float:
+    """Share of the step in which the slip moves less than half way to the nearest pole of tanh, at +- i pi/2.
+
+    Far from zero slip tanh is 1 to rounding and its series says nothing of the turn ahead: `trusted_share` cannot see it.
+    """
+    movement = 0.0
+    for n in range(1, order - 1):
+        movement += abs(w[SLIP, n])
+    allowed = 0.5 * math.sqrt(w[SLIP, 0] ** 2 + 2.4674011002723395)
+    return 1.0 if movement <= allowed else allowed / movement
+
+
+@fused_kernel
 def first_zero(c: Vector, limit: float) -> float:
     """First zero in (0, limit], limit <= 1, of sum_n c_n t^n, to rounding; -1.0 where there is none. Zeros at 0 are divided out.
 
