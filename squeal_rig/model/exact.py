@@ -152,7 +152,7 @@ def next_piece(state: Vector, q: Vector, flow: Vector, rest: float, w: Vector) -
     expand(state, q, flow, contact, _slip_sign(state, q), rest, _FULL_ORDER, _FULL_ARM_ORDER, w)
     share = trusted_share(w, order)
     if contact and q[SLIP_DIRECTION] > 0.0:
-        share = min(share, share_before_tanh_turns(w, order))
+        share = share_before_tanh_turns(w, order, share)
     if not _rests_on_edge(gap, state[1], w):
         w[Y, 0] = gap
         tau = first_zero(w[Y, : order + 1], share)

@@ -283,16 +283,16 @@ def trusted_share(w: Vector, order: int) -> float:
 
 
 @fused_kernel
-def share_before_tanh_turns(w: Vector, order: int) -> float:
-    """Share of the step in which the slip moves less than half way to the nearest pole of tanh, at +- i pi/2.
+def share_before_tanh_turns(w: Vector, order: int, share: float) -> float:
+    """The part of a trusted share of the step in which the slip moves less than half way to the nearest pole of tanh, at +- i pi/2.
 
     Far from zero slip tanh is 1 to rounding and its series says nothing of the turn ahead: `trusted_share` cannot see it.
     """
     movement = 0.0
-    for n in range(1, order - 1):
-        movement += abs(w[SLIP, n])
+    for n in range(order - 2, 0, -1):
+        movement = (movement + abs(w[SLIP, n])) * share
     allowed = 0.5 * math.sqrt(w[SLIP, 0] ** 2 + 2.4674011002723395)
-    return 1.0 if movement <= allowed else allowed / movement
+    return share if movement <= allowed else share * allowed / movement
 
 
 @fused_kernel
