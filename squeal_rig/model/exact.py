@@ -145,9 +145,9 @@ def next_piece(state: Vector, q: Vector, flow: Vector, rest: float, w: Vector) -
         if _rests_on_edge(gap, state[1], w):
             return 1.0, NEAR_ORDER, 0
         w[Y, 0] = gap
-        tau = first_zero_near(w[Y], size, slope, end)
+        share, found = first_zero_near(w[Y], size, slope, end)
         w[Y, 0] = state[1]
-        return (tau, NEAR_ORDER, 1) if tau >= 0.0 else (1.0, NEAR_ORDER, 0)
+        return share, NEAR_ORDER, 1 if found else 0
     order, what = _FULL_ORDER, 0
     expand(state, q, flow, contact, _slip_sign(state, q), rest, _FULL_ORDER, _FULL_ARM_ORDER, w)
     share = trusted_share(w, order)
@@ -155,17 +155,16 @@ def next_piece(state: Vector, q: Vector, flow: Vector, rest: float, w: Vector) -
         share = share_before_tanh_turns(w, order, share)
     if not _rests_on_edge(gap, state[1], w):
         w[Y, 0] = gap
-        tau = first_zero(w[Y, : order + 1], share)
+        share, found = first_zero(w[Y, : order + 1], share)
         w[Y, 0] = state[1]
-        if tau >= 0.0:
-            share, what = tau, 1
+        what = 1 if found else 0
     if kinked:
         for n in range(order):
             w[EVENT, n] = -(n + 1) * w[X, n + 1] / rest
         w[EVENT, 0] = q[SPEED] - state[2]
-        tau = first_zero(w[EVENT, :order], share)
-        if 0.0 <= tau < share:
-            share, what = tau, 2
+        clear, found = first_zero(w[EVENT, :order], share)
+        if clear < share:
+            share, what = clear, 2 if found else 0
     return share, order, what
 
 

@@ -296,41 +296,64 @@ def share_before_tanh_turns(w: Vector, order: int, share: float) -> float:
 
 
 @fused_kernel
-def first_zero(c: Vector, limit: float) -> float:
-    """First zero in (0, limit], limit <= 1, of sum_n c_n t^n, to rounding; -1.0 where there is none. Zeros at 0 are divided out.
+def first_zero(c: Vector, limit: float) -> tuple[float, bool]:
+    """First zero in (0, limit], limit <= 1, of sum_n c_n t^n, to rounding; zeros at 0 are divided out.
 
     March from 0 by the shortest time in which the series could reach zero: with value v, slope s towards zero and a bound M
     of the second derivative that is v = s t + M t^2/2. Such a step never passes the first zero, however many follow, and
     near a simple zero it is Newton's. So two crossings within a step or a graze are not missed, and none is invented.
+
+    Returns up to where there is no zero (the limit, or less where the march was given up), and whether the zero is there.
     """
     low = 0
     while low < c.shape[0] and c[low] == 0.0:
         low += 1
     if low >= c.shape[0]:
-        return -1.0
-    c = c[low:]
+        return limit, False
+    top = c.shape[0] - 1
     curvature = 0.0
-    for j in range(2, c.shape[0]):
-        curvature += j * (j - 1) * abs(c[j])
-    return _march(c, limit, curvature)
+    for n in range(top, low + 1, -1):
+        curvature = curvature * limit + (n - low) * (n - low - 1) * abs(c[n])
+    sign = 1.0 if c[low] > 0.0 else -1.0
+    t = 0.0
+    for _ in range(_MAX_ITERATIONS):
+        value, slope = c[top], 0.0
+        for n in range(top - 1, low - 1, -1):
+            slope = slope * t + value
+            value = value * t + c[n]
+        value *= sign
+        closing = -slope * sign
+        if value <= 0.0:
+            return t, True
+        reach = closing + math.sqrt(closing * closing + 2.0 * curvature * value)
+        # Not within the limit, also where both are zero.
+        if reach * (limit - t) < 2.0 * value:
+            return limit, False
+        advance = 2.0 * value / reach
+        t += advance
+        if advance <= _EPS * t:
+            return t, True
+    return t, False
 
 
 @fused_kernel
-def first_zero_near(c: Vector, size: float, slope: float, end: float) -> float:
+def first_zero_near(c: Vector, size: float, slope: float, end: float) -> tuple[float, bool]:
     """`first_zero` of a series of order 11 up to 1, with short ways for what nearly always happens.
 
     A first term that outweighs the others excludes a zero. A slope that keeps its sign allows one at most: the signs at the
     ends tell whether there is, and Newton's method finds it. The other arguments are the sums that `expand_near` returns.
     """
     if c[0] == 0.0:
-        return -1.0 if abs(c[1]) > size else first_zero(c, 1.0)
+        if abs(c[1]) > size:
+            return 1.0, False
+        return first_zero(c[: NEAR_ORDER + 1], 1.0)
     if abs(c[0]) > abs(c[1]) + size:
-        return -1.0
+        return 1.0, False
     if abs(c[1]) <= slope:
-        return first_zero(c, 1.0)
+        return first_zero(c[: NEAR_ORDER + 1], 1.0)
     end += c[0]
     if (end > 0.0) == (c[0] > 0.0) and end != 0.0:
-        return -1.0
+        return 1.0, False
     t = c[0] / (c[0] - end)
     for _ in range(8):
         value, steepness = c[NEAR_ORDER], 0.0
@@ -343,31 +366,5 @@ def first_zero_near(c: Vector, size: float, slope: float, end: float) -> float:
             break
         # The next step is the square of this one, in units of the whole step: below rounding.
         if abs(step) <= 1e-8:
-            return t
-    return first_zero(c, 1.0)
-
-
-@fused_kernel
-def _march(c: Vector, limit: float, curvature: float) -> float:
-    """The march of `first_zero`."""
-    top = c.shape[0] - 1
-    sign = 1.0 if c[0] > 0.0 else -1.0
-    t = 0.0
-    for _ in range(_MAX_ITERATIONS):
-        value, slope = c[top], 0.0
-        for n in range(top - 1, -1, -1):
-            slope = slope * t + value
-            value = value * t + c[n]
-        value *= sign
-        closing = -slope * sign
-        if value <= 0.0:
-            return t
-        reach = closing + math.sqrt(closing * closing + 2.0 * curvature * value)
-        # Not within the limit, also where both are zero.
-        if reach * (limit - t) < 2.0 * value:
-            return -1.0
-        advance = 2.0 * value / reach
-        t += advance
-        if advance <= _EPS * t:
-            return t
-    return t
+            return t, True
+    return first_zero(c[: NEAR_ORDER + 1], 1.0)
