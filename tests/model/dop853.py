@@ -1,4 +1,4 @@
-"""Reference solution: SciPy's DOP853 at rtol 1e-12, restarted at every contact event, events refined on the solution itself."""
+"""Reference: DOP853 at rtol 1e-12, restarted at every contact event, events refined on the solution itself."""
 
 from __future__ import annotations
 
