@@ -139,8 +139,8 @@ Written by `make bench`; every ratio is of figures measured in one run. {machine
 Times are the best of some repeats, since other work on the machine only adds.
 
 The case: preset, F = 300 N, V = 1 m/s, k = 6e7 N/m, c = 20 N s/m, the pad let go 3 static compressions towards the
-belt, 50 ms at 51.2 kHz, about 90 contact events. Reference: DOP853 at rtol 1e-12, atol 1e-18 m, restarted at each event.
-This start amplifies a small change {amplification():.0f} times, so the reference's own 1e-12 cannot come out below 1e-10.
+belt, 50 ms at 51.2 kHz, about 90 contact events. Reference: DOP853, rtol 1e-12, atol 1e-18 m, restarted at each event.
+This start amplifies a small change {amplification():.0f} times, so the reference's 1e-12 cannot come out below 1e-10.
 Peers run straight through the events, with compiled right-hand sides.
 
 ## Work and precision

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 from scipy.integrate import solve_ivp
 
 from squeal_rig.model import RigParameters
 from squeal_rig.model.dynamics import C_X, C_Y, K_C, L_PRE, LOAD_X, LOAD_Y, MASS, friction_ratio, pack, spring_force
-from squeal_rig.model.kernel import kernel
 
 RTOL, ATOL = 1e-12, 1e-18
 
 
-@kernel
+@numba.njit  # not cached: the tests and the benchmarks know this module by two names
 def _derivative(z, q, contact, scale, out):
     """Right-hand side in units of `scale`, the contact spring kept on or off whatever y is (smooth past the event)."""
     x, y, vx, vy = z[0] * scale[0], z[1] * scale[1], z[2] * scale[2], z[3] * scale[3]
