@@ -28,10 +28,11 @@ SIMULATE = (
     LIST_KERNELS
     + """
 from squeal_rig.model import RigParameters, simulate, state_derivative
+from squeal_rig.model.rk4 import advance
 p, start = RigParameters(), [1e-6, 0.0, 0.0, 0.0]
-run = simulate(p, 1e-6, 1e6, start)
+run = simulate(p, 1e-6, 1e6, start, engine="rk4")
 acceleration = state_derivative(p, start)[2]
-stats = kernels["advance"].stats
+stats = advance.stats
 print(sum(stats.cache_hits.values()), sum(stats.cache_misses.values()), run.vx[1] / 1e-6, acceleration)
 """
 )
