@@ -5,7 +5,7 @@ PY := .venv/bin/python
 # Given after the command of a target, as in: make test ARGS="-k friction"
 ARGS ?=
 
-.PHONY: help demo test lint docs bench clean
+.PHONY: help demo reproduce test lint bench bench-bags docs clean
 .DEFAULT_GOAL := help
 
 # A ROS installation or another environment around us would mix its libraries with ours.
@@ -13,19 +13,27 @@ unexport AMENT_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONP
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 help:
-	@echo "make demo    run the rig from quiet sliding into squeal; leaves a bag and a picture in bags/"
-	@echo "make test    run the tests (ARGS: options for pytest)"
-	@echo "make lint    check style, types and imports"
-	@echo "make docs    write docs/parameters.md anew from the code"
-	@echo "make bench   long series of tests, and recording, replay and export measured at full load (half an hour)"
-	@echo "make clean   remove .venv, caches and build output; recordings stay"
+	@echo "make demo       run the rig from quiet sliding into squeal; leaves a bag and a picture in bags/"
+	@echo "make reproduce  the paper's figures and tables beside its numbers; leaves reproduction/"
+	@echo "make test       run the tests (ARGS: options for pytest)"
+	@echo "make lint       check style, types and imports"
+	@echo "make bench      measure speed against peers; writes docs/benchmarks.md"
+	@echo "make bench-bags long series of tests of bags; recording, replay, export at full load (half an hour)"
+	@echo "make docs       write docs/parameters.md anew from the code"
+	@echo "make clean      remove .venv, caches and build output; recordings stay"
 	@echo "Another Python: make PYTHON=python3.12 ..."
 
 demo: .venv/.ready
 	.venv/bin/squeal-rig demo $(ARGS)
 
+reproduce: .venv/.ready
+	.venv/bin/squeal-rig reproduce $(ARGS)
+
 test: .venv/.ready
 	$(PY) -m pytest $(ARGS)
+
+bench: .venv/.bench
+	$(PY) -m benchmarks $(ARGS)
 
 lint: .venv/.lint
 	.venv/bin/ruff check .
@@ -33,12 +41,12 @@ lint: .venv/.lint
 	$(PY) -m mypy
 	.venv/bin/lint-imports
 
+bench-bags: .venv/.ready
+	$(PY) -m pytest -m bench -s tests/recording tests/system $(ARGS)
+	$(PY) tests/system/measure_bags.py 600
+
 docs: .venv/.ready
 	$(PY) -m squeal_rig.experiments.parameter_table > docs/parameters.md
-
-bench: .venv/.ready
-	$(PY) -m pytest -m bench -s $(ARGS)
-	$(PY) tests/system/measure_bags.py 600
 
 clean:
 	rm -rf .venv build install log dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .import_linter_cache
@@ -53,6 +61,12 @@ clean:
 	@echo "Setting up .venv, once; this takes a minute or two."
 	$(if $(usable),,$(PYTHON) -m venv --clear .venv)
 	$(PY) -m pip install -qq --editable '.[jazzy,test]'
+	@touch $@
+
+.venv/.bench: .venv/.ready
+	$(PY) -m pip install -qq --editable '.[bench]'
+	if command -v gfortran >/dev/null; then $(PY) -m pip install -qq numbalsoda; \
+	else echo "No gfortran: numbalsoda is left out of the benchmarks."; fi
 	@touch $@
 
 .venv/.lint: .venv/.ready

@@ -66,6 +66,8 @@ setup(
         # `squeal-rig bag export` to Parquet and HDF5, and the readers for notebooks.
         "export": ["h5py>=3.10", "pandas>=2.1", "pyarrow>=14.0"],
         "test": ["h5py>=3.10", "hypothesis>=6.100", "pandas>=2.1", "pyarrow>=14.0", "pytest>=8.0", "rosbags>=0.10.11"],
+        # Peers of the benchmarks. numbalsoda builds with gfortran; without it `make bench` goes on and says so.
+        "bench": ["diffrax>=0.6", "jax>=0.4.30"],
         # Pinned to a minor version: another one may format or judge the same code differently.
         "lint": ["import-linter>=2.15,<3", "mypy>=2.4,<2.5", "ruff>=0.17.6,<0.18"],
         # colcon still calls setup.py, with options that setuptools 80 has dropped.

@@ -34,7 +34,9 @@ def test_rk4_converges_with_order_four_between_contact_events(p, start, duration
     counts = 25 * 2 ** np.arange(5)
     errors = []
     for count in counts:
-        run = simulate(p, duration, sample_rate=count / duration, initial_state=start, step=duration / count)
+        run = simulate(
+            p, duration, sample_rate=count / duration, initial_state=start, engine="rk4", step=duration / count
+        )
         found = states(run)[:, :: count // 25]
         scale = np.ptp(expected, axis=1, keepdims=True)
         errors.append(np.abs((found - expected) / scale).max())
@@ -61,7 +63,7 @@ def solved(p, start, max_events):
 
 def largest_error(p, start, expected, step):
     duration = (expected.shape[1] - 1) / SAMPLE_RATE
-    run = simulate(p, duration, SAMPLE_RATE, start, step=step)
+    run = simulate(p, duration, SAMPLE_RATE, start, engine="rk4", step=step)
     assert len(run.t) == expected.shape[1]
     return np.abs((states(run) - expected) / np.ptp(expected, axis=1, keepdims=True)).max()
 
@@ -99,7 +101,7 @@ FRICTIONLESS = SQUEALING.replace(mu0=0.0, mu_speed=0.0, mu_preload=0.0, mu_speed
 def energies_of_motion(duration, sample_rate, step):
     """Energy above that of the equilibrium [J] of a frictionless, undamped rig, in contact all the time."""
     p = FRICTIONLESS
-    run = simulate(p, duration, sample_rate, displaced_state(p, 0.5), step=step)
+    run = simulate(p, duration, sample_rate, displaced_state(p, 0.5), engine="rk4", step=step)
     assert run.normal_force.min() > 0.0
     at_rest = reference.energy(p, [*equilibrium(p), 0.0, 0.0])
     return np.array([reference.energy(p, state) for state in states(run).T]) - at_rest
