@@ -44,9 +44,9 @@ class Children:
         given = [part for key, value in parameters.items() for part in ("-p", f"{key}:={_text(value)}")]
         return self.start(["-m", f"squeal_rig.nodes.{name}", "--ros-args", *given], name)
 
-    def load(self, log, seconds=3600.0):
-        """Start the full load."""
-        return self.start([LOAD, log, seconds], "load")
+    def load(self, log, seconds=3600.0, wait=False):
+        """Start the full load; where it is to `wait`, the first block comes when somebody listens to every topic."""
+        return self.start([LOAD, log, seconds, *(["wait"] if wait else [])], "load")
 
     def end_all(self):
         """Kill what still runs."""

@@ -1,6 +1,6 @@
 """Publishes everything a full rig does, at its rates, with payloads that can be made again from their numbers.
 
-Run as a script: `full_load.py LOG [SECONDS]`. Each line of LOG is a tick's number and the time [ns] after it.
+Run as a script: `full_load.py LOG [SECONDS [wait]]`. Each line of LOG is a tick's number and the time [ns] after it.
 """
 
 import sys
@@ -71,7 +71,7 @@ def small_payload(topic, number):
     return head + names + position + velocity + b"\0\0\0\0"
 
 
-def main(log, seconds):
+def main(log, seconds, wait):
     """Publish until the time is over or a signal comes."""
     import rclpy
     from geometry_msgs.msg import WrenchStamped
@@ -92,6 +92,13 @@ def main(log, seconds):
     clouds = {topic: node.create_publisher(PointCloud2, topic, 100) for topic in CLOUDS}
     kinds = {"/pad/state": JointState, "/contact/wrench": WrenchStamped}
     small = {topic: node.create_publisher(kind, topic, 100) for topic, kind in kinds.items()}
+    publishers = [*clouds.values(), *small.values()]
+    patience = time.monotonic() + 20.0
+    while wait and time.monotonic() < patience and not all(p.get_subscription_count() for p in publishers):
+        rclpy.spin_once(node, timeout_sec=0.1)
+    matched = time.monotonic() + (2.0 if wait else 0.0)  # a subscriber known here may not know us yet
+    while time.monotonic() < matched:
+        rclpy.spin_once(node, timeout_sec=0.1)
     stream = open(log, "w", buffering=1)
     start, number = time.monotonic(), 0
     while time.monotonic() - start < seconds:
@@ -112,4 +119,4 @@ def main(log, seconds):
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], float(sys.argv[2]) if len(sys.argv) > 2 else 3600.0)
+    main(sys.argv[1], float(sys.argv[2]) if len(sys.argv) > 2 else 3600.0, "wait" in sys.argv)

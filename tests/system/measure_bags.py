@@ -6,7 +6,6 @@ numbers in docs/benchmarks_bags.md), FOLDER where the bags go (a temporary one w
 
 import json
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -124,7 +123,7 @@ def full_load(folder, seconds, domain):
     try:
         recorder = children.node("recorder", directory=folder / "full")
         client.wait_for(lambda: "recorder" in client.health, "the recorder")
-        load = children.load(folder / "load.txt", seconds)
+        load = children.load(folder / "load.txt", seconds, wait=True)
         client.wait_for(lambda: client.messages_recorded() > 500, "recorded messages")
         watch = Watch(recorder)
         while load.poll() is None:
@@ -191,9 +190,11 @@ def spacing(bag, folder, domain, seconds):
 def timed(folder, code):
     """Run code in a process of its own; (seconds, peak memory [MB])."""
     wrapped = (
-        "import time, resource, sys\nbegan = time.perf_counter()\n"
+        "import time\nbegan = time.perf_counter()\n"
         + code
-        + "\nprint(time.perf_counter() - began, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)"
+        # not ru_maxrss, which a child inherits from its parent
+        + "\npeak = open('/proc/self/status').read().split('VmHWM:')[1].split()[0]"
+        + "\nprint(time.perf_counter() - began, int(peak) / 1024)"
     )
     out = subprocess.run([sys.executable, "-c", wrapped], check=True, capture_output=True, text=True, cwd=folder)
     took, peak = out.stdout.split()[-2:]
@@ -238,14 +239,16 @@ def reading(bag, folder):
 
 def measure(seconds, folder, domain):
     """Everything, in order."""
-    say(f"# Bags, measured\n\n{os.cpu_count()} cores; messages of the size and rate of 51.2 kHz, all channels.")
+    say(
+        f"# Bags, measured\n\n{os.cpu_count()} cores, of which others took some: load average {os.getloadavg()[0]:.1f} before."
+    )
+    say("Messages have the size and rate of 51.2 kHz, all channels.")
     throughput(folder)
     bag = full_load(folder, seconds, domain)
     spacing(bag, folder, domain, 30.0)
     reading(bag, folder)
     verdict = verify(bag.path)
     say(f"- {'sound' if verdict.sound else verdict.findings}")
-    say(f"\n(peak memory of this script: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB)")
 
 
 if __name__ == "__main__":
