@@ -239,9 +239,8 @@ def reading(bag, folder):
 
 def measure(seconds, folder, domain):
     """Everything, in order."""
-    say(
-        f"# Bags, measured\n\n{os.cpu_count()} cores, of which others took some: load average {os.getloadavg()[0]:.1f} before."
-    )
+    load = os.getloadavg()[0]
+    say(f"# Bags, measured\n\n{os.cpu_count()} cores, of which others took some: load average {load:.1f} before.")
     say("Messages have the size and rate of 51.2 kHz, all channels.")
     throughput(folder)
     bag = full_load(folder, seconds, domain)
