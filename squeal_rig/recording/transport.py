@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection
 
 from squeal_rig.errors import RecordingError
 
@@ -133,19 +133,16 @@ class Transport:
         for message in earlier:
             publish(message)
         with self._changed:
-            self._target = None
             self._clock.jump(position, time.monotonic())
-        for message in self._upcoming(position):
+        for message in self._bag.messages(self._topics, position):
             if not self._wait(message, tick):
-                with self._changed:
-                    return self._target
+                break
             publish(message)
             self.published += 1
             self._clock.published(message.log_time, len(message.data))
-        return None
-
-    def _upcoming(self, position: int) -> Iterator[RawMessage]:
-        return self._bag.messages(self._topics, position)
+        with self._changed:
+            target, self._target = self._target, None
+        return target
 
     def _wait(self, message: RawMessage, tick: Callable[[int], None]) -> bool:
         """Wait until a message is due; False when it is not to be played, since somebody stops or seeks."""
