@@ -15,7 +15,6 @@ from pathlib import Path
 from mcap.opcode import Opcode
 from mcap.records import (
     Channel,
-    ChunkIndex,
     DataEnd,
     Footer,
     Header,
@@ -58,7 +57,8 @@ class McapFile:
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
         self._counts: dict[int, int] = {}
-        self._chunk_indexes: list[ChunkIndex] = []
+        self._chunk_index = bytearray()  # as records: a tenth of the memory that objects would take
+        self._chunk_count = 0
         self._metadata_indexes: list[MetadataIndex] = []
         try:
             self._stream = open(path, "xb", buffering=0)
@@ -100,8 +100,10 @@ class McapFile:
         """
         index = chunk.placed_at(self.size)
         self._append(chunk.data, closing=closing)
-        self._chunk_indexes.append(index)
-        self._summary_bound += len(record_bytes(index))
+        record = record_bytes(index)
+        self._chunk_index += record
+        self._chunk_count += 1
+        self._summary_bound += len(record)
         totals = self.totals
         first = totals.message_count == 0
         totals.start_time = index.message_start_time if first else min(totals.start_time, index.message_start_time)
@@ -120,16 +122,15 @@ class McapFile:
         try:
             self._append(record_bytes(DataEnd(self._crc)))
             start = self.size
-            groups: list[tuple[Opcode, Iterable[McapRecord]]] = [
-                (Opcode.SCHEMA, self._schemas.values()),
-                (Opcode.CHANNEL, self._channels.values()),
-                (Opcode.STATISTICS, [self._statistics()]),
-                (Opcode.CHUNK_INDEX, self._chunk_indexes),
-                (Opcode.METADATA_INDEX, self._metadata_indexes),
+            groups: list[tuple[Opcode, bytes | bytearray]] = [
+                (Opcode.SCHEMA, _joined(self._schemas.values())),
+                (Opcode.CHANNEL, _joined(self._channels.values())),
+                (Opcode.STATISTICS, record_bytes(self._statistics())),
+                (Opcode.CHUNK_INDEX, self._chunk_index),
+                (Opcode.METADATA_INDEX, _joined(self._metadata_indexes)),
             ]
             summary, offsets = b"", b""
-            for opcode, records in groups:
-                group = b"".join(map(record_bytes, records))
+            for opcode, group in groups:
                 if group:
                     offsets += record_bytes(SummaryOffset(opcode, start + len(summary), len(group)))
                 summary += group
@@ -145,14 +146,14 @@ class McapFile:
         finally:
             self._stream.close()
             # A bag of many files keeps the totals of each, never the indexes: memory does not grow with its length.
-            self._chunk_indexes, self._metadata_indexes = [], []
+            self._chunk_index, self._metadata_indexes = bytearray(), []
 
     def _statistics(self) -> Statistics:
         return Statistics(
             attachment_count=0,
             channel_count=len(self._channels),
             channel_message_counts={key: self._counts.get(key, 0) for key in self._channels},
-            chunk_count=len(self._chunk_indexes),
+            chunk_count=self._chunk_count,
             message_count=self.totals.message_count,
             message_end_time=self.totals.end_time,
             message_start_time=self.totals.start_time,
@@ -192,3 +193,7 @@ class McapFile:
             self._stream.seek(self.size)
         except OSError:
             pass  # the error that led here is the one to tell
+
+
+def _joined(records: Iterable[McapRecord]) -> bytes:
+    return b"".join(map(record_bytes, records))
