@@ -42,8 +42,8 @@ lint: .venv/.lint
 	.venv/bin/lint-imports
 
 bench-bags: .venv/.ready
-	$(PY) -m pytest -m bench -s tests/recording tests/system $(ARGS)
-	$(PY) tests/system/measure_bags.py 600
+	$(PY) -m pytest -m bench -s tests/recording tests/bags $(ARGS)
+	$(PY) tests/bags/measure_bags.py 600
 
 docs: .venv/.ready
 	$(PY) -m squeal_rig.experiments.parameter_table > docs/parameters.md

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from squeal_rig.errors import ModelError
 from squeal_rig.instruments.description import RigDescription
+from squeal_rig.model.declared import checked, declarations
 from squeal_rig.model.friction import friction_coefficient
 from squeal_rig.model.parameters import RigParameters
 from squeal_rig.model.stability import stability_report
@@ -24,6 +25,7 @@ IN_FORCE_PERIOD = 0.05
 DESCRIPTION_KEY, SAMPLE_KEY, WINDOW_KEY = "description crc32", "sample", "window end [s]"
 EIGENVALUE_LABELS = ("eigenvalue [rad/s]", "re, im")
 SUMMARY_FRAME = "rig"
+_BOUNDS = declarations(RigParameters)
 _OK, _WARN, _ERROR = 0, 1, 2  # levels of diagnostic_msgs/DiagnosticStatus
 
 
@@ -47,19 +49,35 @@ class StabilitySummary:
 
 @dataclass(frozen=True)
 class InForce:
-    """Preload [N] and belt speed [m/s] at the last sample of a block, and that sample's number."""
+    """Preload [N] and belt speed [m/s] at the last sample of a block, and that sample's number.
+
+    Raises:
+        ParameterError: one of them is out of the bounds of the rig's parameters, or not finite.
+    """
 
     preload: float
     belt_speed: float
     sample: int
 
+    def __post_init__(self) -> None:
+        checked(_BOUNDS["preload"], self.preload)
+        checked(_BOUNDS["belt_speed"], self.belt_speed)
+
 
 @dataclass(frozen=True)
 class Estimate:
-    """The ratio of means of a friction window, and the window's end [s]."""
+    """The ratio of means of a friction window, nan where it has none, and the window's end [s].
+
+    Raises:
+        ParameterError: it is out of the bounds of a friction coefficient.
+    """
 
     mu: float
     window_end: float
+
+    def __post_init__(self) -> None:
+        if not math.isnan(self.mu):
+            checked(_BOUNDS["mu0"], self.mu)
 
 
 def summary_of(

@@ -13,6 +13,7 @@ from std_msgs.msg import Float64MultiArray
 
 from squeal_rig.errors import SquealRigError
 from squeal_rig.estimation.stability_follower import EIGENVALUE_LABELS, Estimate, InForce, StabilityFollower
+from squeal_rig.instruments.channels import DAQ_CHANNELS, FRICTION_WINDOW_CHANNELS, block_from_cdr
 from squeal_rig.instruments.description import RigDescription
 from squeal_rig.nodes import qos
 from squeal_rig.nodes.conversions import diagnostics, labelled_array, status
@@ -20,7 +21,6 @@ from squeal_rig.nodes.health import DataWatch, Health, HealthPublisher
 from squeal_rig.nodes.lifetime import Lifetime, run_node
 from squeal_rig.nodes.parameters import NODE_OPTIONS, DeclaredParameters
 from squeal_rig.nodes.rig_follower import RigFollower
-from squeal_rig.recording import samples_from_cdr
 
 
 class StabilityNode(Node):
@@ -47,20 +47,20 @@ class StabilityNode(Node):
     def _on_daq(self, data: bytes) -> None:
         self._watch.seen()
         try:
-            last = samples_from_cdr(data).samples[-1]
+            last = block_from_cdr(data, DAQ_CHANNELS).samples[-1]
+            in_force = InForce(float(last["preload"]), float(last["belt_speed"]), int(last["seq"]))
         except SquealRigError as error:
             self._reject(error)
             return
-        self._follower.take_block(InForce(float(last["preload"]), float(last["belt_speed"]), int(last["seq"])))
+        self._follower.take_block(in_force)
         self._publish_if_due()
 
     def _on_window(self, data: bytes) -> None:
         try:
-            window = samples_from_cdr(data).samples[0]
+            window = block_from_cdr(data, FRICTION_WINDOW_CHANNELS).samples[0]
+            self._follower.take_estimate(Estimate(float(window["mu_ratio_of_means"]), float(window["t_end"])))
         except SquealRigError as error:
             self._reject(error)
-            return
-        self._follower.take_estimate(Estimate(float(window["mu_ratio_of_means"]), float(window["t_end"])))
 
     def _reject(self, error: SquealRigError) -> None:
         self._rejected += 1

@@ -34,6 +34,8 @@ def estimate_text(source: Path | str, directory: Path | str) -> str:
             )
         elif c.computed:
             lines.append(f"{c.topic}: {c.computed} computed, none recorded")
+    if report.rejected:
+        lines.append(f"{report.rejected} blocks or values were refused")
     if report.unexplained:
         lines.append(f"{report.unexplained} summaries of stability name causes that the log does not hold")
     return "\n".join(lines)

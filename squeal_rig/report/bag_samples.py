@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from squeal_rig.errors import RecordingError
+from squeal_rig.instruments.channels import DAQ_CHANNELS, TRUTH_CHANNELS, block_from_cdr
 from squeal_rig.instruments.description import RigDescription
-from squeal_rig.recording import Bag, RawMessage, as_mapping, decoder_of, samples_from_cdr
+from squeal_rig.recording import Bag, RawMessage, as_mapping, decoder_of
 
 _MAX_TRUTHS = 16
 DESCRIPTION, DAQ, TRUTH = "rig/description", "daq/samples", "truth/samples"
@@ -66,9 +67,8 @@ class BlockJoiner:
         if message.topic == self.topics[DESCRIPTION]:
             self.rig = RigDescription.from_yaml(as_mapping(self._decode(message.data))["data"])
             return
-        stamp, _, samples = samples_from_cdr(message.data)
-        if len(samples) == 0:
-            raise RecordingError(f"{self.path}: a block on {message.topic} holds no samples")
+        channels = TRUTH_CHANNELS if message.topic == self.topics[TRUTH] else DAQ_CHANNELS
+        stamp, _, samples = block_from_cdr(message.data, channels)
         if message.topic == self.topics[TRUTH]:
             self._truths[int(samples["seq"][0])] = samples
         else:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from squeal_rig.errors import RecordingError
+from squeal_rig.errors import RecordingError, SquealRigError
 from squeal_rig.estimation.friction import FrictionEstimator, FrictionWindow
 from squeal_rig.estimation.regression import FrictionRegression
 from squeal_rig.estimation.settings import FrictionSettings
@@ -28,12 +30,16 @@ FRICTION_COLUMNS = "mu0, mu_speed, mu_preload, mu_speed_preload, rms_residual, o
 
 @dataclass(frozen=True)
 class EstimateReport:
-    """What was computed: recorded and computing time [s], messages by topic, summaries whose causes are not known."""
+    """What was computed: recorded and computing time [s], messages by topic.
+
+    `unexplained` counts summaries whose causes the log does not hold, `rejected` what the live nodes would refuse too.
+    """
 
     recorded: float
     computing: float
     counts: dict[str, int] = field(default_factory=dict)
     unexplained: int = 0
+    rejected: int = 0
 
     @property
     def speed(self) -> float:
@@ -63,14 +69,18 @@ def estimate_bag(source: str | Path, directory: str | Path) -> EstimateReport:
             if message.topic in live:
                 work.stability.take_recorded(message)
                 continue
-            for block in joiner.take(message):
-                work.take(block)
+            try:
+                for block in joiner.take(message):
+                    work.take(block)
+            except SquealRigError:
+                work.rejected += 1  # as the live nodes do
             if joiner.rig is not None:
                 work.stability.take_rig(joiner.rig, message.log_time)
         for block in joiner.rest():
             work.take(block)
         work.stability.finish()
-    return EstimateReport(bag.duration, time.perf_counter() - began, output.counts, work.stability.unexplained)
+    took = time.perf_counter() - began
+    return EstimateReport(bag.duration, took, output.counts, work.stability.unexplained, work.rejected)
 
 
 def recorded_settings(bag: Bag, node: str) -> FrictionSettings:
@@ -95,6 +105,7 @@ class _Estimation:
         self._output = output
         self._friction: FrictionEstimator | None = None
         self._regression = FrictionRegression()
+        self.rejected = 0
         self.stability = OfflineStability(output)
 
     def take(self, block: RecordedBlock) -> None:
@@ -108,17 +119,27 @@ class _Estimation:
         samples["t"], samples["mu"], samples["valid"], samples["seq"] = daq["t"], mu, valid, daq["seq"]
         self._output.write("friction/samples", cdr_from_samples(samples, block.stamp), now)
         last = daq[-1]
-        self.stability.take_block(InForce(float(last["preload"]), float(last["belt_speed"]), int(last["seq"])), now)
+        with self._refusing():
+            self.stability.take_block(InForce(float(last["preload"]), float(last["belt_speed"]), int(last["seq"])), now)
         self._publish(windows, now)
         if block.truth is not None:
             self._publish(self._friction.add_truth(block.truth), now)
+
+    @contextmanager
+    def _refusing(self) -> Iterator[None]:
+        """What a live node refuses and counts is refused and counted."""
+        try:
+            yield
+        except SquealRigError:
+            self.rejected += 1
 
     def _publish(self, windows: list[FrictionWindow], now: int) -> None:
         for window in windows:
             self._output.write("friction/windows", cdr_from_samples(window.as_record(), window.stamp), now)
             if not math.isnan(window.values["mu"]):
                 self._output.write("friction/mu", float64_message(window.values["mu"]), now)
-            self.stability.take_estimate(Estimate(window.values["mu_ratio_of_means"], window.values["t_end"]), now)
+            with self._refusing():
+                self.stability.take_estimate(Estimate(window.values["mu_ratio_of_means"], window.values["t_end"]), now)
             if self._regression.add_window(window.values):
                 self._refit(now)
 

@@ -1,30 +1,25 @@
-"""Domains, children and clients for tests of whole processes."""
-
-import os
+"""Commands on a private ROS domain, and one bag to look at."""
 
 import pytest
+from nodes.domains import private_domain
+from nodes.processes import Processes
 
 
 @pytest.fixture(scope="module")
-def bag_domain():
-    """A ROS domain: the one of the environment, else one of this process."""
-    pytest.importorskip("rclpy")
-    return int(os.environ.get("ROS_DOMAIN_ID") or 1 + os.getpid() % 100)
+def processes(tmp_path_factory):
+    """Starts commands and nodes on a domain of the module's own; all are gone at its end."""
+    with private_domain() as domain:
+        started = Processes(domain, tmp_path_factory.mktemp("logs"))
+        yield started
+        started.end_all()
 
 
-@pytest.fixture
-def children(bag_domain, tmp_path):
-    from bag_nodes import Children
+@pytest.fixture(scope="module")
+def command_line(processes):
+    """Runs `squeal-rig ARGUMENTS` to its end; returns (exit code, stdout, stderr)."""
 
-    started = Children(bag_domain, tmp_path)
-    yield started
-    started.end_all()
+    def run(*arguments, cwd=None, timeout=60.0):
+        child = processes.command(*arguments, cwd=cwd)
+        return child.wait(timeout), child.output, child.errors
 
-
-@pytest.fixture
-def client(bag_domain):
-    from bag_nodes import Client
-
-    node = Client(bag_domain)
-    yield node
-    node.close()
+    return run

@@ -1,6 +1,6 @@
 """Measures recording, replay, export and verification at full load; prints a Markdown report.
 
-Run: `python tests/system/measure_bags.py [SECONDS] [FOLDER]`. SECONDS is the length of the recording (600 for the
+Run: `python tests/bags/measure_bags.py [SECONDS] [FOLDER]`. SECONDS is the length of the recording (600 for the
 numbers in docs/benchmarks_bags.md), FOLDER where the bags go (a temporary one without).
 """
 
