@@ -1,0 +1,212 @@
+"""Exact propagators of the linear part of Eq. (2.3) over one step, in contact and off the belt.
+
+With z = (x, y, vx, vy) and the mode's linear part split off, Eq. (2.3) reads z' = A z + b + B g(r):
+
+    A = [[0, I], [-K/m, -C/m]]   K of Eq. (3.2) about r = 0 (without the contact terms off the belt)
+    b = (0, 0, load + contact pretension)/m        g(r): what the arms' rotation adds to their linear force, per mass
+
+and variation of constants gives, exactly,
+
+    z(h) = e^{Ah} z(0) + int_0^h e^{As} b ds + int_0^h e^{A(h-s)} B g(r(s)) ds.                                  (P)
+
+The first two terms are matrices, computed here once per set of parameters. In the last one r(s) is the linear path (one
+Picard sweep) at the three Gauss-Legendre nodes, whose weights w_i h e^{A(h - s_i)} B are computed here as well.
+
+The arm's force in powers of r/L follows from the generating function of the Legendre polynomials P_n:
+L/l - 1 = sum_n (r/L)^n P_n(cos psi), psi the angle between r and the arm's axis n, so the force k (L/l - 1)(r - a) has
+at order n >= 2 the part k L (r/L)^n [P_{n-1} r/|r| - P_n n], never longer than 2 k L (r/L)^n. `g` keeps orders 2 and 3.
+
+Error of one step, relative to r, with theta = h^2 sum k_i/(m L_i) r:
+- orders 4 and up:       h^2/2 sum 2 k_i/m (r/L_i)^3
+- one Picard sweep:      |g| <= 2 sum k_i/m r^2/L_i moves the path by theta r at most, and |dg/dr| <= 6 sum k_i/m r/L_i acts
+  on that for a mean of h^2/12: theta^2/2
+- Gauss-Legendre, 3 nodes: h^7/2016000 times a sixth derivative, (2 omega h)^6/2e6 theta <= 1e-8 theta
+`NEAR` is the r up to which the first two sum to `NEAR_ERROR` at most; beyond it the engine takes Taylor steps of the full
+nonlinear equations (squeal_rig.model.series). The bound is a worst case: at the preset a step loses below 1e-13.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from squeal_rig.model.dynamics import (
+    A1X,
+    A1Y,
+    A2X,
+    A2Y,
+    C_X,
+    C_Y,
+    K1,
+    K2,
+    K34,
+    K_C,
+    L1,
+    L2,
+    L_PRE,
+    LOAD_X,
+    LOAD_Y,
+    MASS,
+    MU,
+    Vector,
+)
+from squeal_rig.model.kernel import kernel
+
+#: Largest error of one step by propagators, as a share of the displacement (the bound above).
+NEAR_ERROR = 1e-11
+#: Largest product of the mode's fastest rate and the step: the Taylor series of the path then end in rounding at order 11.
+RATE_TIMES_STEP = 0.25
+
+# Layout of the propagators of one mode, from its offset on.
+IN_CONTACT, OFF_BELT = 0, 80
+DRIFT, STEP_MATRIX = 0, 4  # int e^{As} b ds (4,) and e^{Ah} (4, 4), row by row
+NODES, NODE_SIZE = 20, 10  # at each node: drift of (x, y), then the rows x and y of e^{As}
+WEIGHTS, WEIGHT_SIZE = 50, 8  # of each node: (4, 2), row by row
+BOUND = 74  # |y''| in the step is at most BOUND . (1, |x|, |y|, |vx|, |vy|)
+# What both modes share.
+GX, GY = 160, 167  # coefficients of xx, xy, yy, xxx, xxy, xyy, yyy in g
+NEAR, STEP, K_AA, K_AB, K_BB = 174, 175, 176, 177, 178  # stiffness of arms and clips per mass
+FLOW_SIZE = 179
+
+_TERMS = 16
+_ROOT = math.sqrt(0.6)
+_NODE_1, _NODE_2, _NODE_3 = 0.5 - 0.5 * _ROOT, 0.5, 0.5 + 0.5 * _ROOT
+
+
+@kernel
+def fastest_rate(q: Vector) -> float:
+    """Upper bound of |lambda| [rad/s] of both modes: any lambda^2 = -(c lambda + k)/m lies below it."""
+    c1, s1 = q[A1X] / q[L1], q[A1Y] / q[L1]
+    c2, s2 = q[A2X] / q[L2], q[A2Y] / q[L2]
+    k_ab = q[K1] * s1 * c1 + q[K2] * s2 * c2
+    row_x = q[K1] * c1 * c1 + q[K2] * c2 * c2 + q[K34] + abs(k_ab) + abs(q[MU]) * q[K_C]
+    row_y = q[K1] * s1 * s1 + q[K2] * s2 * s2 + q[K_C] + abs(k_ab)
+    return float(max(q[C_X], q[C_Y]) / q[MASS] + math.sqrt(max(row_x, row_y) / q[MASS]))
+
+
+@kernel
+def substeps_needed(q: Vector, interval: float, longest: float) -> int:
+    """Steps per output interval [s] that keep rate times step below its bound and each step below `longest` [s]."""
+    share = max(interval * fastest_rate(q) / RATE_TIMES_STEP, interval / longest)
+    return max(1, int(math.ceil(min(share, 1e9) * (1.0 - 1e-12))))
+
+
+@kernel
+def propagators(q: Vector, h: float, flow: Vector) -> None:
+    """Fill `flow` (179,) for the packed parameters `q` and the step h [s]."""
+    _shared(q, h, flow)
+    for contact in (True, False):
+        _mode(q, h, contact, flow)
+
+
+@kernel
+def _shared(q: Vector, h: float, flow: Vector) -> None:
+    """Arm stiffness, the polynomial g and the range in which it holds."""
+    flow[GX : GX + 14] = 0.0
+    flow[K_AA], flow[K_AB], flow[K_BB] = q[K34] / q[MASS], 0.0, 0.0
+    linear, cubic = 0.0, 0.0
+    for k, length, ax, ay in ((q[K1], q[L1], q[A1X], q[A1Y]), (q[K2], q[L2], q[A2X], q[A2Y])):
+        k = k / q[MASS]
+        c, s = ax / length, ay / length
+        flow[K_AA] += k * c * c
+        flow[K_AB] += k * c * s
+        flow[K_BB] += k * s * s
+        _arm_polynomial(k / length, k / length**2, c, s, flow[GX : GX + 7])
+        _arm_polynomial(k / length, k / length**2, s, c, flow[GY : GY + 7])
+        linear += h * h * k / length
+        cubic += h * h * k / length**3
+    # The polynomials of g_y were made with x and y exchanged: put them in the order of x.
+    for a, b in ((0, 2), (3, 6), (4, 5)):
+        flow[GY + a], flow[GY + b] = flow[GY + b], flow[GY + a]
+    near = 0.01 * min(q[L1], q[L2])
+    if linear > 0.0:
+        near = min(near, math.sqrt(NEAR_ERROR) / linear, (0.5 * NEAR_ERROR / cubic) ** (1.0 / 3.0))
+    flow[NEAR], flow[STEP] = near, h
+
+
+@kernel
+def _arm_polynomial(second: float, third: float, c: float, s: float, out: Vector) -> None:
+    """Add one arm's orders 2 and 3 of g along an axis with direction cosine c: the coefficients of its monomials."""
+    out[0] += second * 1.5 * c * s * s
+    out[1] += second * s * (1.0 - 3.0 * c * c)
+    out[2] += second * c * (1.0 - 3.0 * s * s) / 2.0
+    out[3] += third * (-2.5 * c**4 + 3.0 * c * c - 0.5)
+    out[4] += third * c * s * (4.5 - 7.5 * c * c)
+    out[5] += third * (1.0 - 7.5 * c * c * s * s)
+    out[6] += third * c * s * (1.5 - 2.5 * s * s)
+
+
+@kernel
+def _mode(q: Vector, h: float, contact: bool, flow: Vector) -> None:
+    """The propagators of one mode: e^{As} and the drift by their Taylor series, which end in rounding (RATE_TIMES_STEP)."""
+    m = q[MASS]
+    a, b = np.zeros((4, 4)), np.zeros(4)
+    a[0, 2] = a[1, 3] = 1.0
+    a[2, 0], a[2, 1], a[3, 0], a[3, 1] = -flow[K_AA], -flow[K_AB], -flow[K_AB], -flow[K_BB]
+    a[2, 2], a[3, 3] = -q[C_X] / m, -q[C_Y] / m
+    b[2], b[3] = q[LOAD_X] / m, q[LOAD_Y] / m
+    if contact:
+        a[2, 1] -= q[MU] * q[K_C] / m
+        a[3, 1] -= q[K_C] / m
+        b[2] += q[MU] * q[K_C] * q[L_PRE] / m
+        b[3] += q[K_C] * q[L_PRE] / m
+    o = IN_CONTACT if contact else OFF_BELT
+    whole, drift = _exponential(a, b, h)
+    flow[o + DRIFT : o + DRIFT + 4] = drift
+    for i in range(4):
+        for j in range(4):
+            flow[o + STEP_MATRIX + 4 * i + j] = whole[i, j]
+    nodes = (_NODE_1, _NODE_2, _NODE_3)
+    shares = (5.0 / 18.0, 8.0 / 18.0, 5.0 / 18.0)
+    for n in range(3):
+        part, drift = _exponential(a, b, nodes[n] * h)
+        base = o + NODES + NODE_SIZE * n
+        flow[base : base + 2] = drift[:2]
+        for j in range(4):
+            flow[base + 2 + j], flow[base + 6 + j] = part[0, j], part[1, j]
+        # The nodes are symmetric: what is left after node n is the time of node 2 - n.
+        base = o + WEIGHTS + WEIGHT_SIZE * (2 - n)
+        for i in range(4):
+            flow[base + 2 * i] = shares[n] * h * part[i, 2]
+            flow[base + 2 * i + 1] = shares[n] * h * part[i, 3]
+    _acceleration_bound(q, a, b, h, flow[o + BOUND : o + BOUND + 5], flow[NEAR])
+
+
+@kernel
+def _exponential(a: Vector, b: Vector, h: float) -> tuple[Vector, Vector]:
+    """e^{Ah} (4, 4) and int_0^h e^{As} b ds (4,)."""
+    term = np.eye(4)
+    whole = np.eye(4)
+    drift = h * b
+    for n in range(1, _TERMS + 1):
+        following = np.zeros((4, 4))
+        for i in range(4):
+            for j in range(4):
+                value = 0.0
+                for k in range(4):
+                    value += a[i, k] * term[k, j]
+                following[i, j] = value * h / n
+        term = following
+        for i in range(4):
+            for j in range(4):
+                whole[i, j] += term[i, j]
+                drift[i] += term[i, j] * b[j] * h / (n + 1)
+    return whole, drift
+
+
+@kernel
+def _acceleration_bound(q: Vector, a: Vector, b: Vector, h: float, out: Vector, near: float) -> None:
+    """Bound of |y''| within a step that starts at z: |e^{As}| <= e^{|A|h} entry by entry, so nothing escapes it.
+
+    The part of g is at most 2 sum k_i/m near^2/L_i; 5 % cover its own effect on the path.
+    """
+    whole, drift = _exponential(np.abs(a), np.abs(b), h)
+    out[:] = 0.0
+    out[0] = abs(b[3]) + 2.0 * (q[K1] / q[L1] + q[K2] / q[L2]) / q[MASS] * near * near
+    for k in range(4):
+        out[0] += abs(a[3, k]) * drift[k]
+        for j in range(4):
+            out[1 + j] += abs(a[3, k]) * whole[k, j]
+    for j in range(5):
+        out[j] *= 1.05
