@@ -87,12 +87,28 @@ def analyse(
 
 @app.command()
 def check(
-    file: Annotated[Path, typer.Argument(help="A parameter file, a preset or a plan.", metavar="FILE")],
+    file: Annotated[Path, typer.Argument(help="A parameter file, a preset, a plan, targets or a calibration.", metavar="FILE")],
 ) -> None:
     """Check a YAML file of ours; exit code 2 and one sentence when something is wrong with it."""
     from squeal_rig.experiments.checking import check_file
 
     console.print(f"{file}: {check_file(file)}, all in order")
+
+
+@app.command()
+def calibrate(
+    targets: Annotated[Path, typer.Argument(help="A calibration, or a file of targets.", metavar="TARGETS")],
+    free: Annotated[
+        str | None, typer.Option(help="Free parameters, by commas: name or name=lower:upper; those of the file by default.")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the search.", min=0)] = 1,
+    starts: Annotated[int, typer.Option(help="Independent searches.", min=1)] = 8,
+    out: Annotated[Path, typer.Option(help="Preset to write.")] = Path("calibrated.yaml"),
+) -> None:
+    """Find a rig that meets thresholds, frequencies, contact loss or jumps; leaves a preset with its residuals."""
+    from squeal_rig.report.calibration import run_calibration
+
+    run_calibration(targets, free.split(",") if free else [], seed, starts, out, console)
 
 
 @app.command()
