@@ -5,7 +5,7 @@ PY := .venv/bin/python
 # Given after the command of a target, as in: make test ARGS="-k friction"
 ARGS ?=
 
-.PHONY: help demo test lint bench docs clean
+.PHONY: help demo test lint bench docs evidence clean
 .DEFAULT_GOAL := help
 
 # A ROS installation or another environment around us would mix its libraries with ours.
@@ -18,6 +18,7 @@ help:
 	@echo "make lint    check style, types and imports"
 	@echo "make bench   measure speed (ARGS: options for pytest)"
 	@echo "make docs    write docs/parameters.md anew from the code"
+	@echo "make evidence search anew for docs/evidence/*.csv, some 20 minutes (ARGS: floors trade_off readings disagreements)"
 	@echo "make clean   remove .venv, caches and build output; recordings stay"
 	@echo "Another Python: make PYTHON=python3.12 ..."
 
@@ -38,6 +39,9 @@ lint: .venv/.lint
 
 docs: .venv/.ready
 	$(PY) -m squeal_rig.experiments.parameter_table > docs/parameters.md
+
+evidence: .venv/.ready
+	$(PY) -m squeal_rig.report.calibration_evidence docs/evidence $(ARGS)
 
 clean:
 	rm -rf .venv build install log dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .import_linter_cache

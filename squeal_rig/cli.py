@@ -87,7 +87,9 @@ def analyse(
 
 @app.command()
 def check(
-    file: Annotated[Path, typer.Argument(help="A parameter file, a preset, a plan, targets or a calibration.", metavar="FILE")],
+    file: Annotated[
+        Path, typer.Argument(help="A parameter file, a preset, a plan, targets or a calibration.", metavar="FILE")
+    ],
 ) -> None:
     """Check a YAML file of ours; exit code 2 and one sentence when something is wrong with it."""
     from squeal_rig.experiments.checking import check_file
@@ -99,7 +101,8 @@ def check(
 def calibrate(
     targets: Annotated[Path, typer.Argument(help="A calibration, or a file of targets.", metavar="TARGETS")],
     free: Annotated[
-        str | None, typer.Option(help="Free parameters, by commas: name or name=lower:upper; those of the file by default.")
+        str | None,
+        typer.Option(help="Free parameters, by commas: name or name=lower:upper."),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the search.", min=0)] = 1,
     starts: Annotated[int, typer.Option(help="Independent searches.", min=1)] = 8,

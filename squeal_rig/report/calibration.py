@@ -36,7 +36,7 @@ def run_calibration(path: Path, free: Sequence[str], seed: int, starts: int, out
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("calibrating", total=None)
 
-        def step(start: int, generation: int, generations: int) -> None:
+        def step(start: int, generations: int, generation: int) -> None:
             done = start * generations + generation
             bar.update(task, completed=done, total=starts * generations, description=f"start {start + 1} of {starts}")
 

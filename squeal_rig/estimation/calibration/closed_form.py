@@ -29,7 +29,7 @@ def column(values: Columns, name: str) -> Values:
 
 
 def is_closed_form(values: Columns, slowest: float) -> bool:
-    """Whether these formulas hold: no damping, and friction that does not see the pad's speed (`slowest` belt [m/s])."""
+    """Whether these formulas hold: no damping, and friction that does not see the pad (`slowest` belt [m/s])."""
     damped = np.any(column(values, "damping_x") != 0.0) or np.any(column(values, "damping_y") != 0.0)
     turning = values["friction_direction"] == "slip" and bool(
         np.any(slowest < _SATURATED * column(values, "regularization_speed"))

@@ -12,9 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from squeal_rig.errors import ModelError
 from squeal_rig.estimation.calibration import closed_form
 from squeal_rig.estimation.calibration.closed_form import Columns
 from squeal_rig.estimation.calibration.problem import FRICTION_TERMS, Calibration
+from squeal_rig.estimation.calibration.rest_thresholds import critical_stiffness_at_rest
 from squeal_rig.estimation.calibration.targets import JUMP_RANGE, KINDS, Target
 from squeal_rig.model.eigen import eigenvalues, squeal_frequency
 from squeal_rig.model.ensemble import simulate_many
@@ -59,7 +61,7 @@ class Evaluation:
 
 
 class Coordinates:
-    """The free parameters as coordinates z (S, n) in [0, 1]; a wholly free friction law by its values at four corners."""
+    """The free parameters as coordinates z (S, n) in [0, 1]; a free friction law by its four corners."""
 
     def __init__(self, problem: Calibration) -> None:
         self._problem = problem
@@ -97,7 +99,9 @@ class Coordinates:
 
 
 def _rig(base: RigParameters, columns: Columns, i: int) -> RigParameters:
-    return base.replace(**{name: float(value[i, 0]) for name, value in columns.items() if isinstance(value, np.ndarray)})
+    return base.replace(
+        **{name: float(value[i, 0]) for name, value in columns.items() if isinstance(value, np.ndarray)}
+    )
 
 
 class Evaluator:
@@ -107,6 +111,11 @@ class Evaluator:
         self.problem = problem
         self.coordinates = Coordinates(problem)
         self._slowest = min((item.belt_speed for item in problem.targets.items), default=0.0)
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates."""
+        return self.coordinates.size
 
     def of(self, z: Values, kinds: tuple[str, ...] | None = None) -> Evaluation:
         """Evaluate candidates z (S, n); only kinds that weigh or are limited, unless others are asked for."""
@@ -166,7 +175,7 @@ class Evaluator:
         c, demand = self.coordinates, self.problem.friction
         mu = np.broadcast_to(closed_form.friction(columns, c.corner_preload, c.corner_speed), (count, 4))
         over = np.maximum(mu - demand.upper, 0.0) + np.maximum(demand.lower - mu, 0.0)
-        return np.where(over > _FRICTION_ROUNDING, over, 0.0).sum(axis=1)
+        return np.asarray(np.where(over > _FRICTION_ROUNDING, over, 0.0).sum(axis=1))
 
     def _linear(self, kind: str, columns: Columns, count: int, targets: tuple[Target, ...]) -> Values:
         preload = np.array([item.preload for item in targets])
@@ -176,20 +185,27 @@ class Evaluator:
             return self._thresholds(columns, count, preload, speed)
         if kind == "peak_displacement_jump":
             return self._jumps(columns, count, k, speed)
-        if closed_form.is_closed_form(columns, self._slowest):
+        exact = self.problem.equilibrium == "exact"
+        if closed_form.is_closed_form(columns, self._slowest) and not exact:
             found = closed_form.linear_frequency(columns, k, preload, speed)
             return np.broadcast_to(found, (count, len(targets)))
         rigs = [_rig(self.problem.base, columns, i) for i in range(count)]
-        return np.array([[_frequency(p, item) for item in targets] for p in rigs])
+        return np.array([[_frequency(p, item, exact) for item in targets] for p in rigs])
 
     def _thresholds(self, columns: Columns, count: int, preload: Values, speed: Values) -> Values:
-        if closed_form.is_closed_form(columns, self._slowest):
+        simple = closed_form.is_closed_form(columns, self._slowest)
+        threshold = critical_pad_stiffness
+        if self.problem.equilibrium == "exact":
+            if not simple:
+                raise ModelError("equilibrium: exact takes no damping and no friction that sees the pad's speed")
+            threshold = critical_stiffness_at_rest
+        elif simple:
             found = closed_form.critical_stiffness(columns, preload, speed)
             return np.broadcast_to(found, (count, len(preload)))
         rigs = [_rig(self.problem.base, columns, i) for i in range(count)]
         points = list(zip(preload, speed, strict=True))
         return np.array(
-            [[critical_pad_stiffness(p.replace(preload=float(f), belt_speed=float(v))) for f, v in points] for p in rigs]
+            [[threshold(p.replace(preload=float(f), belt_speed=float(v))) for f, v in points] for p in rigs]
         )
 
     def _jumps(self, columns: Columns, count: int, k: Values, speed: Values) -> Values:
@@ -245,9 +261,12 @@ def _point(item: Target) -> tuple[float, float, float]:
     return item.preload, item.belt_speed, item.pad_stiffness
 
 
-def _frequency(p: RigParameters, item: Target) -> float:
+def _frequency(p: RigParameters, item: Target, exact: bool) -> float:
     at = p.replace(preload=item.preload, belt_speed=item.belt_speed, pad_stiffness=item.pad_stiffness)
-    return squeal_frequency(eigenvalues(at, linear=True))
+    try:
+        return squeal_frequency(eigenvalues(at, linear=not exact))
+    except ModelError:  # no equilibrium in contact: nothing squeals there
+        return math.nan
 
 
 def _measured(errors: Values, measure: str) -> Values:

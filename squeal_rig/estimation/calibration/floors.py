@@ -1,8 +1,8 @@
 """How close any first-order reading can come: k + D/k bilinear in preload and belt speed.
 
 For every first-order reading, any arm angles, the lower stability root obeys k + D/k = L(V, F) with L bilinear and
-D >= 0 (docs/physics.md). Divided by D: 1/k + B k = l, with l = L/D again bilinear and B = 1/D >= 0, which holds the limit
-of infinite D (B = 0) as well. Five numbers for all thresholds: the floors below are what is left of the errors.
+D >= 0 (docs/physics.md). Divided by D: 1/k + B k = l, with l = L/D again bilinear and B = 1/D >= 0, which holds the
+limit of infinite D (B = 0) as well. Five numbers for all thresholds: the floors are what is left of the errors.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ def bilinear_floors(targets: Targets) -> Floors:
 def largest_floor(targets: Targets) -> float:
     """The smallest largest relative error, by bisection over a linear programme in the four terms of l and B.
 
-    |k_i/p_i - 1| <= e wherever h(p_i (1 + e)) <= l_i <= h(p_i (1 - e)) with h(k) = 1/k + B k, which falls up to k = 1/sqrt(B).
-    B may therefore reach 1/(p_max (1 + e))^2 here; what lies beyond is what the global search of `searched_floor` covers.
+    |k_i/p_i - 1| <= e wherever h(p_i (1 + e)) <= l_i <= h(p_i (1 - e)) with h(k) = 1/k + B k, which falls up to
+    k = 1/sqrt(B). B may therefore reach 1/(p_max (1 + e))^2 here; `searched_floor` lets it reach 1/p_max^2.
     """
     basis, k = _points(targets)
     lower, upper = 0.0, 0.5

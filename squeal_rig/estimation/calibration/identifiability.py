@@ -1,4 +1,4 @@
-"""What the targets say of each free parameter: singular values at the optimum, and the spread of sets that fit as well."""
+"""What the targets say of each free parameter: singular values, and the spread of sets that fit as well."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Identifiability:
     """Of n free parameters.
 
     - names: the parameters, in the order of the columns
-    - singular_values: (n,) of d(error)/d(relative change of a parameter), largest first; zeros where there are fewer targets
+    - singular_values: (n,) of d(error)/d(relative change of a parameter), largest first; zeros at the end
     - directions: (n, n), row i: the relative changes that belong to singular value i, of length 1
     - lower, upper: (n,) smallest and largest value among the sets that fit equally well
     - wide: parameters those sets do not pin down
@@ -40,9 +40,7 @@ class Identifiability:
         """Each direction that the targets hardly see, in words: relative changes of the parameters."""
         weak = self.singular_values < UNDETERMINED * self.singular_values.max()
         return tuple(
-            ", ".join(
-                f"{name} {share:+.2f}" for name, share in zip(self.names, row, strict=True) if abs(share) >= 0.05
-            )
+            ", ".join(f"{name} {share:+.2f}" for name, share in zip(self.names, row, strict=True) if abs(share) >= 0.05)
             for row in self.directions[weak]
         )
 
@@ -62,7 +60,7 @@ def identifiability(found: Found) -> Identifiability:
     jacobian = np.nan_to_num(np.array(rows).T)
     _, singular, directions = np.linalg.svd(jacobian, full_matrices=True)
     columns = evaluator.coordinates.columns(found.near)
-    spread = np.array([np.ravel(columns[name])[[0, 0]] if len(found.near) == 1 else _ends(columns[name]) for name in names])
+    spread = np.array([_ends(columns[name]) for name in names])
     best = np.array([getattr(found.rig, name) for name in names])
     lower, upper = np.minimum(spread[:, 0], best), np.maximum(spread[:, 1], best)
     wide = tuple(np.array(names)[upper - lower > WIDE * np.abs(best)].tolist())

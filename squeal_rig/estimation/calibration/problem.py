@@ -22,9 +22,22 @@ from squeal_rig.model.configuration import load_yaml
 from squeal_rig.model.declared import declarations, unknown_name
 from squeal_rig.model.parameters import RigParameters
 
+EQUILIBRIA = ("linear", "exact")
 MEASURES = ("rms", "mean", "largest")
 FRICTION_TERMS = ("mu0", "mu_speed", "mu_preload", "mu_speed_preload")
-_KEYS = ("title", "targets", "preset", "free", "tied", "friction", "weights", "limits", "measure", "simulation")
+_KEYS = (
+    "title",
+    "targets",
+    "preset",
+    "free",
+    "tied",
+    "friction",
+    "weights",
+    "limits",
+    "measure",
+    "equilibrium",
+    "simulation",
+)
 _NEEDED = ("targets", "free")
 #: Where a file of targets alone is calibrated: the constants that the paper does not print.
 _DEFAULT_FREE: dict[str, tuple[float, float]] = {
@@ -71,7 +84,10 @@ class Simulation:
 
 @dataclass(frozen=True)
 class Calibration:
-    """An inverse problem. `weights` and `limits` by kind of target; `tied` parameters follow another one."""
+    """An inverse problem. `weights` and `limits` by kind of target; `tied` parameters follow another one.
+
+    `equilibrium`: where the model is linearised, at r = 0 as in Eqs. (3.1), (3.2), or at the exact equilibrium.
+    """
 
     title: str
     targets: Targets
@@ -82,7 +98,14 @@ class Calibration:
     weights: Mapping[str, float] = field(default_factory=lambda: dict(_DEFAULT_WEIGHTS))
     limits: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     measure: str = "rms"
+    equilibrium: str = "linear"
     simulation: Simulation = field(default_factory=Simulation)
+
+    @classmethod
+    def of(cls, targets: Targets) -> Calibration:
+        """Targets with the usual free parameters and weights, on the preset `yavuz_sen_2023`."""
+        free = tuple(_free(name, *bounds) for name, bounds in _DEFAULT_FREE.items())
+        return cls(targets.title, targets, RigParameters(), free, {"k4": "k3"})
 
     @property
     def has_free_friction(self) -> bool:
@@ -109,15 +132,14 @@ def load_calibration(path: Path | str) -> Calibration:
     """
     content = load_yaml(path)
     if isinstance(content, dict) and looks_like_targets(content):
-        free = tuple(_free(name, *bounds) for name, bounds in _DEFAULT_FREE.items())
-        targets = load_targets(path)
-        return Calibration(targets.title, targets, RigParameters(), free, {"k4": "k3"})
+        return Calibration.of(load_targets(path))
     where = str(path)
     raw = mapping(where, content, _KEYS, _NEEDED)
     free = _read_free(f"{where}, free", raw["free"])
-    measure = raw.get("measure", "rms")
-    if measure not in MEASURES:
-        raise ConfigurationError(f"{where}: measure = {measure!r} is not known: it must be one of {', '.join(MEASURES)}")
+    measure, equilibrium = raw.get("measure", "rms"), raw.get("equilibrium", "linear")
+    for key, value, options in (("measure", measure, MEASURES), ("equilibrium", equilibrium, EQUILIBRIA)):
+        if value not in options:
+            raise ConfigurationError(f"{where}: {key} = {value!r} is not known: it must be one of {', '.join(options)}")
     return Calibration(
         title=str(raw.get("title", Path(path).stem)),
         targets=_read_named_targets(Path(path), raw["targets"]),
@@ -128,6 +150,7 @@ def load_calibration(path: Path | str) -> Calibration:
         weights=_read_weights(f"{where}, weights", raw.get("weights", _DEFAULT_WEIGHTS)),
         limits=_read_limits(f"{where}, limits", raw.get("limits", {})),
         measure=str(measure),
+        equilibrium=str(equilibrium),
         simulation=_read_simulation(f"{where}, simulation", raw.get("simulation", {})),
     )
 
@@ -166,7 +189,9 @@ def _read_free(where: str, content: object) -> tuple[Free, ...]:
     for name, raw in content.items():
         place = f"{where}, {name}"
         bounds = mapping(place, raw if raw is not None else {}, ("lower", "upper"))
-        values = [number(place, key, bounds[key], -math.inf) if key in bounds else math.nan for key in ("lower", "upper")]
+        values = [
+            number(place, key, bounds[key], -math.inf) if key in bounds else math.nan for key in ("lower", "upper")
+        ]
         try:
             free.append(_free(str(name), *values))
         except ParameterError as error:
@@ -240,7 +265,8 @@ def _read_weights(where: str, content: object) -> dict[str, float]:
 def _read_limits(where: str, content: object) -> dict[str, dict[str, float]]:
     return {
         kind: {
-            key: number(f"{where}, {kind}", key, value) for key, value in mapping(f"{where}, {kind}", raw, MEASURES).items()
+            key: number(f"{where}, {kind}", key, value)
+            for key, value in mapping(f"{where}, {kind}", raw, MEASURES).items()
         }
         for kind, raw in mapping(where, content, KINDS).items()
     }

@@ -30,7 +30,7 @@ _UNITS = {
 
 @dataclass(frozen=True)
 class Residual:
-    """One target beside what the rig gives. `computed` nan: none; `error` relative, of contact loss a difference of shares.
+    """One target beside what the rig gives, nan: none; `error` relative, of contact loss a difference of shares.
 
     `weight` is that of the kind in the calibration; with 0 the number is shown, and was not asked for.
     """
@@ -96,7 +96,9 @@ def spread_lines(found: Found) -> list[str]:
     for name, low, high in zip(known.names, known.lower, known.upper, strict=True):
         wide = "  (poorly determined)" if name in known.wide else ""
         lines.append(f"  {name:20s} {low:12.5g} ... {high:12.5g}{wide}")
-    lines.append("singular values of d(error)/d(relative change): " + " ".join(f"{s:.2g}" for s in known.singular_values))
+    lines.append(
+        "singular values of d(error)/d(relative change): " + " ".join(f"{s:.2g}" for s in known.singular_values)
+    )
     lines += [f"hardly seen by any target: {direction}" for direction in known.undetermined()]
     return lines
 

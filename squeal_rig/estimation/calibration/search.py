@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +17,20 @@ from squeal_rig.estimation.calibration.problem import Calibration
 from squeal_rig.model.parameters import RigParameters
 
 Values = NDArray[np.float64]
-#: Called with the start (from 0), the generation and the generations in all.
+
+
+class Ranked(Protocol):
+    """What the global search needs: candidates in the unit box, and how they rank."""
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates."""
+
+    def of(self, z: Values) -> Evaluation:
+        """Judge candidates z (S, n)."""
+
+
+#: Called with the start (from 0), the generations in all and the one just done.
 Progress = Callable[[int, int, int], None]
 
 GENERATIONS = 600
@@ -32,8 +47,8 @@ _KEPT = 400
 class Found:
     """Result of a calibration.
 
-    `rig` is the best one; `z` its coordinates (n,); `starts` the loss each start ended with; `near` coordinates (S, n) of
-    candidates seen on the way with a loss within `EQUALLY_GOOD` of the best; `missing` roots the best one still lacks.
+    `rig` is the best one; `z` its coordinates (n,); `starts` the loss each start ended with; `near` coordinates (S, n)
+    of candidates seen on the way with a loss within `EQUALLY_GOOD` of the best; `missing` roots the best one lacks.
     """
 
     problem: Calibration
@@ -73,7 +88,8 @@ def calibrate(
     ends, losses, archive = [], [], []
     for number, own in enumerate(seeds):
         rng = np.random.default_rng(own)
-        z, seen = _evolve(evaluator, rng, generations, lambda g, n=number: progress and progress(n, g, generations))  # type: ignore[misc]
+        tell = partial(progress, number, generations) if progress else _silent
+        z, seen = evolve(evaluator, rng, _PER_COORDINATE * evaluator.size, generations, tell)
         z = _polish(evaluator, z)
         ends.append(z)
         archive.append(seen)
@@ -95,21 +111,28 @@ def calibrate(
     )
 
 
+def _silent(generation: int) -> None:
+    """Where nobody watches."""
+
+
 def _near(evaluator: Evaluator, candidates: Values, loss: float) -> Values:
     judged = evaluator.of(candidates)
     good = (judged.missing == 0) & (judged.outside == 0.0) & (judged.loss <= EQUALLY_GOOD * loss + 1e-12)
-    return candidates[good]
+    return np.asarray(candidates[good])
 
 
-def _evolve(
-    evaluator: Evaluator, rng: np.random.Generator, generations: int, progress: Callable[[int], object]
+def evolve(
+    evaluator: Ranked,
+    rng: np.random.Generator,
+    count: int,
+    generations: int,
+    progress: Callable[[int], object],
 ) -> tuple[Values, Values]:
     """Differential evolution (best/1/bin, scale drawn anew each generation) in the unit box, ranked by `Evaluation`.
 
     Returns the best candidate and a sample of what was accepted after convergence had begun.
     """
-    n = evaluator.coordinates.size
-    count = _PER_COORDINATE * n
+    n = evaluator.size
     z = (rng.permuted(np.tile(np.arange(count), (n, 1)), axis=1).T + rng.random((count, n))) / count
     judged = evaluator.of(z)
     seen: list[Values] = []
@@ -131,7 +154,8 @@ def _evolve(
         judged = _merged(judged, tried, better)
         seen.append(trial[better])
         progress(generation)
-        if judged.missing.max() == 0 and np.ptp(judged.loss) <= _CONVERGED * abs(judged.loss).max():
+        worst = judged.loss.max()
+        if np.isfinite(worst) and np.ptp(judged.loss) <= _CONVERGED * abs(worst):
             break
     everything = np.vstack(seen[-generations:])
     chosen = everything[rng.permutation(len(everything))[: _KEPT * n]]
@@ -149,13 +173,13 @@ def _merged(old: Evaluation, new: Evaluation, better: NDArray[np.bool_]) -> Eval
 
 
 class _Smooth:
-    """The problem as a smooth programme in (z, t): t_i >= |error_i| stands for the errors in a mean, one t for the largest."""
+    """The problem as a smooth programme in (z, t): t_i >= |error_i| stands for an error in a mean, one t for all."""
 
     def __init__(self, evaluator: Evaluator, z: Values) -> None:
         self.evaluator = evaluator
         problem = evaluator.problem
         self.n = len(z)
-        self.kinds = [kind for kind in evaluator.of(z[None]).errors]
+        self.kinds = list(evaluator.of(z[None]).errors)
         self.weights = [problem.weights.get(kind, 0.0) for kind in self.kinds]
         self.limits = [dict(problem.limits.get(kind, {})) for kind in self.kinds]
         self.measure = problem.measure

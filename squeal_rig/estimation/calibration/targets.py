@@ -6,7 +6,6 @@ The file is that of the paper's numbers, `config/paper/yavuz_sen_2023.yaml`; eve
 from __future__ import annotations
 
 import math
-import numbers
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -103,11 +102,12 @@ def number(where: str, key: str, value: object, lower: float = 0.0, upper: float
         ConfigurationError: it is not; the sentence gives the key, the value, the bounds and the unit.
     """
     bounds = f"at least {lower:g}" if math.isinf(upper) else f"{lower:g} to {upper:g}"
-    good = isinstance(value, numbers.Real) and not isinstance(value, bool) and math.isfinite(value)
-    if not (good and lower <= float(value) <= upper):  # type: ignore[arg-type]
-        shown = f"{value} {unit}".rstrip() if good else repr(value)
-        raise ConfigurationError(f"{where}: {key} = {shown} must be a number, {bounds} {unit}".rstrip())
-    return float(value)  # type: ignore[arg-type]
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ConfigurationError(f"{where}: {key} = {value!r} must be a number, {bounds} {unit}".rstrip())
+    if not (math.isfinite(value) and lower <= value <= upper):
+        shown = f"{value:g} {unit}".rstrip()
+        raise ConfigurationError(f"{where}: {key} = {shown} is out of bounds: it must be {bounds} {unit}".rstrip())
+    return float(value)
 
 
 def mapping(where: str, value: object, keys: tuple[str, ...], needed: tuple[str, ...] = ()) -> Mapping[str, Any]:
