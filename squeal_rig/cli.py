@@ -106,12 +106,13 @@ def calibrate(
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the search.", min=0)] = 1,
     starts: Annotated[int, typer.Option(help="Independent searches.", min=1)] = 8,
+    generations: Annotated[int, typer.Option(help="At most, of each search.", min=1)] = 600,
     out: Annotated[Path, typer.Option(help="Preset to write.")] = Path("calibrated.yaml"),
 ) -> None:
     """Find a rig that meets thresholds, frequencies, contact loss or jumps; leaves a preset with its residuals."""
-    from squeal_rig.report.calibration import run_calibration
+    from squeal_rig.report.calibration import Effort, run_calibration
 
-    run_calibration(targets, free.split(",") if free else [], seed, starts, out, console)
+    run_calibration(targets, free.split(",") if free else [], Effort(seed, starts, generations), out, console)
 
 
 @app.command()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
@@ -18,10 +19,19 @@ from squeal_rig.estimation.calibration.residuals import (
     spread_lines,
     write_preset,
 )
-from squeal_rig.estimation.calibration.search import Found, calibrate
+from squeal_rig.estimation.calibration.search import GENERATIONS, Found, calibrate
 
 
-def run_calibration(path: Path, free: Sequence[str], seed: int, starts: int, out: Path, console: Console) -> Found:
+@dataclass(frozen=True)
+class Effort:
+    """Seed, starts and generations of each start."""
+
+    seed: int
+    starts: int
+    generations: int = GENERATIONS
+
+
+def run_calibration(path: Path, free: Sequence[str], effort: Effort, out: Path, console: Console) -> Found:
     """Read the problem, search, print what was found and write the preset `out`.
 
     Raises:
@@ -38,15 +48,22 @@ def run_calibration(path: Path, free: Sequence[str], seed: int, starts: int, out
 
         def step(start: int, generations: int, generation: int) -> None:
             done = start * generations + generation
-            bar.update(task, completed=done, total=starts * generations, description=f"start {start + 1} of {starts}")
+            bar.update(
+                task,
+                completed=done,
+                total=effort.starts * generations,
+                description=f"start {start + 1} of {effort.starts}",
+            )
 
-        found = calibrate(problem, seed, starts, progress=step)
+        found = calibrate(problem, effort.seed, effort.starts, effort.generations, step)
     items = residuals(problem, rounded(found), shown_kinds(problem))
     for line in [*residual_lines(items), "", *spread_lines(found)]:
         console.print(line, markup=False, highlight=False, soft_wrap=True)
     if found.missing:
         console.print(f"{found.missing} roots that the targets ask for do not exist: none is reported in their place")
     chosen = f" --free {','.join(free)}" if free else ""
-    write_preset(found, out, f"squeal-rig calibrate {path}{chosen} --seed {seed} --starts {starts}")
+    asked = f"--seed {effort.seed} --starts {effort.starts}"
+    asked += f" --generations {effort.generations}" if effort.generations != GENERATIONS else ""
+    write_preset(found, out, f"squeal-rig calibrate {path}{chosen} {asked}")
     console.print(f"preset: {out}")
     return found

@@ -22,6 +22,7 @@ from squeal_rig.estimation.calibration.floors import bilinear_floors, searched_f
 from squeal_rig.estimation.calibration.problem import Calibration, load_calibration
 from squeal_rig.estimation.calibration.readings import fit_readings, reading_rows
 from squeal_rig.estimation.calibration.search import calibrate
+from squeal_rig.estimation.calibration.starts import start_rows
 from squeal_rig.estimation.calibration.targets import Targets
 from squeal_rig.estimation.calibration.tradeoff import trade_off, trade_off_rows
 from squeal_rig.model.configuration import config_directory
@@ -71,11 +72,17 @@ def _searched(base: RigParameters, targets: Targets, region: Region) -> list[Row
     return region_rows(region, search_region(base, targets, region, SEED, *_EFFORT[region.record]))
 
 
+def mirrored_rows(problem: Calibration, tell: Tell) -> list[Row]:
+    """Table 1 of the mirrored arms calibrated at their true equilibrium, over starts and records."""
+    return start_rows(RigParameters.preset("yavuz_sen_2023_mirrored"), problem.targets, progress=tell)
+
+
 PARTS: dict[str, Callable[[Calibration, Tell], list[Row]]] = {
     "floors": floor_rows,
     "trade_off": lambda problem, tell: trade_off_rows(trade_off(problem, seed=SEED, progress=tell)),
     "readings": lambda problem, tell: reading_rows(fit_readings(problem, seed=SEED, progress=tell)),
     "disagreements": disagreement_rows,
+    "mirrored": mirrored_rows,
 }
 
 

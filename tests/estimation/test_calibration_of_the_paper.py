@@ -130,4 +130,11 @@ def test_without_damping_no_long_record_lacks_contact_loss_at_the_first_stiffnes
 def test_the_paper_s_targets_are_all_read():
     targets = load_targets(CONFIG / "paper" / "yavuz_sen_2023.yaml")
     assert [len(targets.of(kind)) for kind in targets.kinds()] == [8, 5, 5, 5, 6]
-    assert [math.isnan(item.value) for item in targets.of("peak_displacement_jump")] == [False, True, False, True, True, False]
+    assert [math.isnan(item.value) for item in targets.of("peak_displacement_jump")] == [
+        False,
+        True,
+        False,
+        True,
+        True,
+        False,
+    ]

@@ -22,7 +22,8 @@ _LENGTHS = (
     Free("arm_length_2", 0.01, 1.0, log=True),
     Free("pretension_length", 1e-7, 1e-3, log=True),
 )
-_EXACT_GENERATIONS = 40
+# Generations at the true equilibrium, where a candidate costs milliseconds: lengths fixed, and free.
+_EXACT_GENERATIONS = {False: 40, True: 120}
 
 
 @dataclass(frozen=True)
@@ -101,7 +102,11 @@ def fit_readings(
     for number, reading in enumerate(readings, 1):
         exact = reading.equilibrium == "exact"
         problem = reading.problem(base)
-        found = calibrate(problem, seed, 1, _EXACT_GENERATIONS) if exact else calibrate(problem, seed, starts)
+        found = (
+            calibrate(problem, seed, 1, _EXACT_GENERATIONS[reading.free_lengths])
+            if exact
+            else calibrate(problem, seed, starts)
+        )
         fits.append(_fit(reading, problem, found.rig))
         progress(number, len(readings))
     return fits
