@@ -19,8 +19,9 @@ from squeal_rig.estimation.calibration import (
 from squeal_rig.estimation.calibration.disagreements import regions, search_region, stiffened
 from squeal_rig.estimation.calibration.readings import READINGS, fit_readings
 from squeal_rig.estimation.calibration.residuals import rounded, shown_kinds
+from squeal_rig.estimation.calibration.rest_thresholds import critical_stiffness_at_rest, is_threshold_at_rest
 from squeal_rig.estimation.calibration.tradeoff import trade_off
-from squeal_rig.model import RigParameters, critical_pad_stiffness, eigenvalues, friction_coefficient
+from squeal_rig.model import RigParameters, critical_pad_stiffness, eigenvalues, friction_coefficient, simulate
 from squeal_rig.model.configuration import config_directory
 from squeal_rig.model.eigen import is_unstable
 
@@ -116,6 +117,37 @@ def test_stiffer_contact_with_weaker_friction_keeps_every_threshold():
             for rig in (p, stiffened(p, 3.0))
         )
         assert second == pytest.approx(first, rel=1e-9)
+
+
+def test_printed_arms_have_all_eight_thresholds_at_the_true_equilibrium_and_none_about_zero():
+    p, errors = RigParameters.preset("yavuz_sen_2023_mirrored"), []
+    assert math.degrees(p.arm_angle_1 + p.arm_angle_2) == pytest.approx(180.0)
+    for target in THRESHOLDS:
+        at = p.replace(preload=target.preload, belt_speed=target.belt_speed)
+        assert math.isnan(critical_pad_stiffness(at))
+        k = critical_stiffness_at_rest(at)
+        # Flutter of 1e-3 of |lambda| in its middle: a percent beyond the edge it is well above the tolerance of 1e-6.
+        assert is_threshold_at_rest(at, k, 0.01)
+        errors.append(abs(k / target.value - 1.0))
+    assert len(errors) == 8
+    assert np.mean(errors) < 0.033
+    assert max(errors) < 0.06
+
+
+def test_the_header_of_the_mirrored_preset_is_that_of_its_numbers():
+    problem = load_calibration(CONFIG / "calibrations" / "yavuz_sen_2023_mirrored.yaml")
+    p = RigParameters.preset("yavuz_sen_2023_mirrored")
+    text = (CONFIG / "presets" / "yavuz_sen_2023_mirrored.yaml").read_text()
+    kinds = ("critical_pad_stiffness", "squeal_frequency")
+    for line in residual_lines(residuals(problem, p, kinds)):
+        assert f"# {line.rstrip()}\n" in text
+
+
+def test_squeal_of_the_mirrored_preset_leaves_small_displacements_and_the_program_says_so():
+    p = RigParameters.preset("yavuz_sen_2023_mirrored").replace(preload=300.0, pad_stiffness=1e8)
+    # It grows by 8.8 a second from a tenth of the static compression, 2e-5 m, to a hundredth of the arm, 2e-3 m.
+    warnings = simulate(p, 1.5, sample_rate=8192.0).warnings
+    assert any("small displacements do not hold" in sentence for sentence in warnings)
 
 
 def test_without_damping_no_long_record_lacks_contact_loss_at_the_first_stiffness():

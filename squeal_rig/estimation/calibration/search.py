@@ -107,7 +107,7 @@ def calibrate(
         missing=int(judged.missing[best]),
         outside=float(judged.outside[best]),
         starts=tuple(losses),
-        near=near,
+        near=near if len(near) else pool[best : best + 1],
     )
 
 
