@@ -5,7 +5,7 @@ PY := .venv/bin/python
 # Given after the command of a target, as in: make test ARGS="-k friction"
 ARGS ?=
 
-.PHONY: help demo test lint bench docs evidence clean
+.PHONY: help demo reproduce test lint bench docs evidence clean
 .DEFAULT_GOAL := help
 
 # A ROS installation or another environment around us would mix its libraries with ours.
@@ -13,23 +13,27 @@ unexport AMENT_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONP
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 help:
-	@echo "make demo    run the rig from quiet sliding into squeal; leaves a bag and a picture in bags/"
-	@echo "make test    run the tests (ARGS: options for pytest)"
-	@echo "make lint    check style, types and imports"
-	@echo "make bench   measure speed (ARGS: options for pytest)"
-	@echo "make docs    write docs/parameters.md anew from the code"
-	@echo "make evidence search anew for docs/evidence/*.csv, some 20 minutes (ARGS: floors trade_off readings disagreements)"
-	@echo "make clean   remove .venv, caches and build output; recordings stay"
+	@echo "make demo       run the rig from quiet sliding into squeal; leaves a bag and a picture in bags/"
+	@echo "make reproduce  the paper's figures and tables beside its numbers; leaves reproduction/"
+	@echo "make test       run the tests (ARGS: options for pytest)"
+	@echo "make lint       check style, types and imports"
+	@echo "make bench      measure speed against peers; writes docs/benchmarks.md"
+	@echo "make docs       write docs/parameters.md anew from the code"
+	@echo "make evidence   search anew for docs/evidence/*.csv, half an hour"
+	@echo "make clean      remove .venv, caches and build output; recordings stay"
 	@echo "Another Python: make PYTHON=python3.12 ..."
 
 demo: .venv/.ready
 	.venv/bin/squeal-rig demo $(ARGS)
 
+reproduce: .venv/.ready
+	.venv/bin/squeal-rig reproduce $(ARGS)
+
 test: .venv/.ready
 	$(PY) -m pytest $(ARGS)
 
-bench: .venv/.ready
-	$(PY) -m pytest -m bench $(ARGS)
+bench: .venv/.bench
+	$(PY) -m benchmarks $(ARGS)
 
 lint: .venv/.lint
 	.venv/bin/ruff check .
@@ -45,7 +49,7 @@ evidence: .venv/.ready
 
 clean:
 	rm -rf .venv build install log dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .import_linter_cache
-	rm -rf .hypothesis .benchmarks
+	rm -rf .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # --- the environment -------------------------------------------------------------------------------------
@@ -56,6 +60,12 @@ clean:
 	@echo "Setting up .venv, once; this takes a minute or two."
 	$(if $(usable),,$(PYTHON) -m venv --clear .venv)
 	$(PY) -m pip install -qq --editable '.[jazzy,test]'
+	@touch $@
+
+.venv/.bench: .venv/.ready
+	$(PY) -m pip install -qq --editable '.[bench]'
+	if command -v gfortran >/dev/null; then $(PY) -m pip install -qq numbalsoda; \
+	else echo "No gfortran: numbalsoda is left out of the benchmarks."; fi
 	@touch $@
 
 .venv/.lint: .venv/.ready

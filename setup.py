@@ -63,7 +63,9 @@ setup(
             "ros-jazzy-rclpy>=7.1.6",
             "ros-jazzy-rmw-fastrtps-cpp>=8.4.3",
         ],
-        "test": ["hypothesis>=6.100", "pytest>=8.0", "rosbags>=0.10.4"],
+        "test": ["hypothesis>=6.100", "pytest>=8.0", "rosbags>=0.10.11"],
+        # Peers of the benchmarks. numbalsoda builds with gfortran; without it `make bench` goes on and says so.
+        "bench": ["diffrax>=0.6", "jax>=0.4.30"],
         # Pinned to a minor version: another one may format or judge the same code differently.
         "lint": ["import-linter>=2.15,<3", "mypy>=2.4,<2.5", "ruff>=0.17.6,<0.18"],
         # colcon still calls setup.py, with options that setuptools 80 has dropped.

@@ -86,6 +86,27 @@ def analyse(
 
 
 @app.command()
+def reproduce(
+    out: Annotated[Path, typer.Option(help="Folder for the page, the pictures and the tables.")] = Path("reproduction"),
+    preset: Annotated[str, typer.Option(help="Preset to compute from.")] = "yavuz_sen_2023",
+) -> None:
+    """Every result of the paper from the preset, beside the printed numbers: a page, pictures, tables."""
+    from rich.progress import Progress
+
+    from squeal_rig.experiments.reproduction.run import STAGES, compute, write_results
+
+    with Progress(console=console) as bar:
+        task = bar.add_task("starting", total=STAGES)
+        results = compute(preset, lambda stage: bar.update(task, advance=1, description=stage))
+        bar.update(task, description="figures and page")
+        page = write_results(results, out)
+        bar.update(task, description="done")
+    for number, statement in enumerate(results.statements(), 1):
+        console.print(f"{number}. {statement.text} [bold]{statement.verdict}[/bold]: {statement.evidence}")
+    console.print(f"page: {page}")
+
+
+@app.command()
 def check(
     file: Annotated[
         Path, typer.Argument(help="A parameter file, a preset, a plan, targets or a calibration.", metavar="FILE")

@@ -93,6 +93,8 @@ class FrictionEstimator:
         tangential, normal = friction_terms(daq, self.rig)
         mu, valid = sample_friction(tangential, normal, self._settings.minimum_normal_load)
         start = self._unwrapped(int(daq["seq"][0]), self._daq_end)
+        if self._first is not None and start < self._daq_end:
+            start = self._begin_anew(int(daq["seq"][0]))
         if self._first is None:
             self._first = self._next = -(-start // self._length)
             self._truth_end = start
@@ -163,6 +165,13 @@ class FrictionEstimator:
             "mu_true": mu_true,
             "difference": mu - mu_true,
         }
+
+    def _begin_anew(self, seq: int) -> int:
+        """Numbers that run backwards are another run: a rig started again, or a replay."""
+        self._open.clear()
+        self._first = None
+        self._daq_end = 0
+        return seq
 
     def _unwrapped(self, seq: int, near: int) -> int:
         """The sample's number over the whole run: `seq` wraps at 2^32."""

@@ -7,6 +7,9 @@ from itertools import accumulate
 
 import numpy as np
 
+from squeal_rig.errors import RecordingError
+from squeal_rig.recording import SampleBlock, samples_from_cdr
+
 
 @dataclass(frozen=True)
 class Channel:
@@ -81,6 +84,24 @@ def record_type(channels: tuple[Channel, ...]) -> np.dtype[np.void]:
             "itemsize": -(-ends[-1] // 8) * 8,
         }
     )
+
+
+def block_from_cdr(data: bytes, channels: tuple[Channel, ...]) -> SampleBlock:
+    """Block out of a serialised PointCloud2, whoever published it; it may have more columns than these channels.
+
+    Raises:
+        RecordingError: no such message, no sample in it, a channel that is missing or not one number, times not finite.
+    """
+    block = samples_from_cdr(data)
+    names = block.samples.dtype.names or ()
+    for channel in channels:
+        if channel.name not in names or block.samples.dtype[channel.name].shape:
+            raise RecordingError(f"no channel {channel.name} of one number a sample, only {', '.join(names) or 'none'}")
+    if len(block.samples) == 0:
+        raise RecordingError("a block without a sample")
+    if "t" in names and not np.all(np.isfinite(block.samples["t"])):
+        raise RecordingError("a block whose times t are not finite")
+    return block
 
 
 DAQ_RECORD = record_type(DAQ_CHANNELS)

@@ -8,8 +8,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from squeal_rig.errors import ConfigurationError, ParameterError
+from squeal_rig.instruments.settings import RigSettings
 from squeal_rig.model.configuration import parse_yaml, yaml_mapping
-from squeal_rig.model.declared import declarations
+from squeal_rig.model.declared import checked, declarations
 from squeal_rig.model.parameters import RigParameters
 
 _TARE = "tare_"
@@ -60,6 +61,9 @@ class RigDescription:
         try:
             parameters = RigParameters.from_mapping({name: values.pop(name) for name in declarations(RigParameters)})
             tare = {key[len(_TARE) :]: float(values.pop(key)) for key in list(values) if key.startswith(_TARE)}
+            settings = declarations(RigSettings)
+            for name in settings.keys() & values.keys():
+                values[name] = checked(settings[name], values[name])
             return cls(parameters=parameters, tare=tare, **values)
         except (KeyError, TypeError, ValueError, ParameterError) as error:
             raise ConfigurationError(f"rig/description is not one of this version: {error}") from None

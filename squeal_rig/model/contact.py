@@ -53,9 +53,7 @@ def contact_events(
             raise ParameterError(f"{name} = {value} {unit} is out of bounds: it must be above 0 {unit}")
     state = np.array(displaced_state(p, 0.1) if initial_state is None else initial_state, dtype=np.float64)
     if state.shape != (4,) or not np.isfinite(state).all():
-        raise ParameterError(
-            f"initial_state = {initial_state!r} must be four finite numbers: x, y [m], vx, vy [m/s]"
-        )
+        raise ParameterError(f"initial_state = {initial_state!r} must be four finite numbers: x, y [m], vx, vy [m/s]")
     q, flow, w = pack(p), exact.empty_flow(), exact.workspace()
     interval = 1.0 / sample_rate
     substeps = substeps_needed(q, interval, interval)

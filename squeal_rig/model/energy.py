@@ -26,6 +26,7 @@ from squeal_rig.model.dynamics import (
     friction_ratio,
     pack,
 )
+from squeal_rig.model.exact import next_piece
 from squeal_rig.model.kernel import kernel
 from squeal_rig.model.parameters import RigParameters
 from squeal_rig.model.propagator import propagators, substeps_needed
@@ -42,8 +43,8 @@ _NODES, _WEIGHTS = 0.5 * (_NODES + 1.0), 0.5 * _WEIGHTS
 class EnergyBalance:
     """Energies [J] of a motion: change of what is stored, work of friction, preload and damping on the pad.
 
-    `turnover` is the integral of the absolute power of friction, the measure of how much went through; `largest` is the
-    largest kinetic energy at a sample.
+    `turnover` is the integral of the absolute power of friction, the measure of how much went through; `largest` is
+    the largest kinetic energy at a sample.
     """
 
     stored_change: float
@@ -77,7 +78,7 @@ def _work(samples: Vector, q: Vector, flow: Vector, interval: float, w: Vector, 
         state[:] = samples[i, :4]
         rest = interval
         while rest > 0.0:
-            share, order, what = exact.next_piece(state, q, flow, rest, w)
+            share, order, what = next_piece(state, q, flow, rest, w)
             for n in range(_NODES.shape[0]):
                 evaluate(w, order, share * _NODES[n], rest, at)
                 normal = q[K_C] * max(0.0, q[L_PRE] - at[1])
@@ -97,8 +98,8 @@ def energy_balance(
 ) -> EnergyBalance:
     """Energy balance of a motion of the exact engine.
 
-    The work is integrated on Taylor series from each sample on, piece by piece between contact events, so a fault of the
-    engine's steps shows as imbalance.
+    The work is integrated on Taylor series from each sample on, piece by piece between contact events, so a fault
+    of the engine's steps shows as imbalance.
 
     Args:
         p: parameters.

@@ -1,4 +1,6 @@
-"""Many operating points at once on all cores, each run summarised while it goes: memory stays flat however many they are."""
+"""Many operating points at once on all cores, each run summarised while it goes: memory stays flat however
+many they are.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from squeal_rig.errors import ParameterError
-from squeal_rig.model import exact
 from squeal_rig.model.dynamics import L_PRE, PACKED_SIZE, Vector, pack
+from squeal_rig.model.exact import CONTACT_TIME, DONE, SEPARATIONS, TALLY_SIZE, advance
 from squeal_rig.model.kernel import kernel
 from squeal_rig.model.parameters import RigParameters
 from squeal_rig.model.propagator import FLOW_SIZE, propagators, substeps_needed
@@ -48,12 +50,13 @@ _RUNS_PER_TASK = 8
 
 @dataclass(frozen=True)
 class Ensemble:
-    """Result of `simulate_many`. `summaries`: one record (dtype `SUMMARY`) a run; lengths [m], rates [1/s], times [s].
+    """Result of `simulate_many`. `summaries`: one record (dtype `SUMMARY`) a run; lengths [m], rates [1/s], times
+    [s].
 
     - peak_x, peak_y, rms_x, rms_y: displacement from the static equilibrium, at the samples
     - squeal_frequency [Hz]: mean rate at which x passes its equilibrium upwards, from the first passage to the last
-    - growth_rate [1/s]: slope of the logarithm of the RMS displacement of each 512 samples, by least squares; nan for fewer
-      than two such blocks. Near zero on a limit cycle: what it says depends on the window
+    - growth_rate [1/s]: slope of the logarithm of the RMS displacement of each 512 samples, by least squares; nan
+      for fewer than two such blocks. Near zero on a limit cycle: what it says depends on the window
     - contact_loss_time [s], contact_share, separations: exact, from the contact events
     - status: index into `STATUS`
     `traces`, where asked for: float64 (runs, samples, 6), x, y, vx, vy, N, F_t.
@@ -79,7 +82,8 @@ def simulate_many(
         duration: time summarised of each run [s], after `settle`.
         sample_rate: samples per second [Hz].
         settle: time simulated first, without being summarised [s].
-        initial_compressions: start at rest, displaced towards the belt by this many static compressions; one number or one a run.
+        initial_compressions: start at rest, displaced towards the belt by this many static compressions; one number
+            or one a run.
         threads: how many work at once; one a core when None.
         traces: keep every sample as well, 48 bytes each.
 
@@ -132,7 +136,7 @@ def _summarise(
 ) -> None:
     """Run each row of `packed` and fill its row of `table`, and of `kept` (runs, samples, 6) where it has any."""
     flow, w = np.empty(FLOW_SIZE), np.zeros((ROWS, MAX_ORDER + 1))
-    tally, events = np.zeros(exact.TALLY_SIZE), np.empty((0, 2))
+    tally, events = np.zeros(TALLY_SIZE), np.empty((0, 2))
     block, state, sums = np.empty((_BLOCK, 6)), np.empty(4), np.empty(_SUMS)
     for run in range(packed.shape[0]):
         q = packed[run]
@@ -143,33 +147,33 @@ def _summarise(
         substeps = substeps_needed(q, interval, interval)
         propagators(q, interval / substeps, flow)
         state[0], state[1], state[2], state[3] = x, y - starts[run] * (q[L_PRE] - y), 0.0, 0.0
-        ended = exact.DONE
+        ended = DONE
         for first in range(0, settling, _BLOCK):
             part = block[: min(_BLOCK, settling - first)]
-            ended, _ = exact.advance(state, q, flow, substeps, w, tally, events, part)
-            if ended != exact.DONE:
+            ended, _ = advance(state, q, flow, substeps, w, tally, events, part)
+            if ended != DONE:
                 break
         tally[:] = 0.0
         sums[:] = 0.0
         sums[_FIRST_PASSAGE] = np.nan
         previous = x
         for first in range(0, samples, _BLOCK):
-            if ended != exact.DONE:
+            if ended != DONE:
                 break
             part = block[: min(_BLOCK, samples - first)]
-            ended, _ = exact.advance(state, q, flow, substeps, w, tally, events, part)
+            ended, _ = advance(state, q, flow, substeps, w, tally, events, part)
             if kept.shape[0] > 0:
                 kept[run, first : first + part.shape[0]] = part
             _add_block(part, first, x, y, previous, sums)
             previous = part[part.shape[0] - 1, 0]
         table[run, _STATUS] = ended
-        if ended == exact.DONE:
+        if ended == DONE:
             _finish(sums, tally, samples, interval, table[run])
 
 
 _STATUS = _COLUMNS.index("status")
-# Running sums of one run: peaks and squares of x and y, passages of x, and the regression of the logarithm of each block's
-# mean square: number, sums of its index i, of i^2, of the logarithm, and of their product.
+# Running sums of one run: peaks and squares of x and y, passages of x, and the regression of the logarithm of each
+# block's mean square: number, sums of its index i, of i^2, of the logarithm, and of their product.
 _PEAK_X, _PEAK_Y, _SQUARE_X, _SQUARE_Y, _FIRST_PASSAGE, _LAST_PASSAGE, _PASSAGES = range(7)
 _BLOCKS, _INDEX, _INDEX_2, _LOG, _INDEX_LOG = range(7, 12)
 _SUMS = 12
@@ -216,6 +220,6 @@ def _finish(sums: Vector, tally: Vector, samples: int, interval: float, row: Vec
     if spread > 0.0:
         slope = (n * sums[_INDEX_LOG] - sums[_INDEX] * sums[_LOG]) / spread
         row[5] = 0.5 * slope / (_BLOCK * interval)
-    row[6] = samples * interval - tally[exact.CONTACT_TIME]
-    row[7] = tally[exact.CONTACT_TIME] / (samples * interval)
-    row[8] = tally[exact.SEPARATIONS]
+    row[6] = samples * interval - tally[CONTACT_TIME]
+    row[7] = tally[CONTACT_TIME] / (samples * interval)
+    row[8] = tally[SEPARATIONS]

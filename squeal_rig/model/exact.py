@@ -2,16 +2,16 @@
 
 A plain step (`advance`) is equation (P) of squeal_rig.model.propagator. It is taken only where it is proven:
 - the arms' rotation lies in its small range (|x|, |y| <= NEAR at both ends; NaN fails this too);
-- the pad cannot meet or leave the belt within the step: |y(s) - chord| <= h^2/8 max|y''|, and a bound of |y''| comes with
-  the propagators, so a start and an end further than that from L_pre exclude any crossing, double ones included.
+- the pad cannot meet or leave the belt within the step: |y(s) - chord| <= h^2/8 max|y''|, and a bound of |y''|
+  comes with the propagators, so a start and an end further than that from L_pre exclude any crossing, double ones
+  included.
 Every other step is careful (`careful_step`): Taylor series of the full nonlinear equations, to the first zero of
-y - L_pre (or of V - vx where friction sees |V - vx|), from there in the other mode, and so on to the end of the step, in
-pieces no longer than the series is exact to rounding. So far motions and slip friction are slower, never wrong.
+y - L_pre (or of V - vx where friction sees |V - vx|), from there in the other mode, and so on to the end of the
+step, in pieces no longer than the series is exact to rounding. So far motions and slip friction are slower, never
+wrong.
 """
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 
@@ -39,8 +39,6 @@ from squeal_rig.model.propagator import (
     NODES,
     OFF_BELT,
     STEP,
-    STEP_MATRIX,
-    WEIGHTS,
 )
 from squeal_rig.model.series import (
     EVENT,
@@ -91,12 +89,11 @@ def refuse_unless_done(ended: int, time: float) -> None:
         ModelError: the motion left every bound, or changes too fast to be followed.
     """
     if ended == NOT_FINITE:
-        raise ModelError(
-            f"the motion left every bound {time:.4g} s into the block: no finite state to go on from"
-        )
+        raise ModelError(f"the motion left every bound {time:.4g} s into the block: no state to go on from")
     if ended == STUCK:
         raise ModelError(
-            f"the motion cannot be followed {time:.4g} s into the block: a step would need more than {_MAX_PIECES} pieces"
+            f"the motion cannot be followed {time:.4g} s into the block:"
+            f" a step would need more than {_MAX_PIECES} pieces"
         )
 
 
@@ -123,7 +120,7 @@ def _slip_sign(state: Vector, q: Vector) -> float:
 @fused_kernel
 def _rests_on_edge(gap: float, y: float, w: Vector) -> bool:
     """Whether the pad stays on the very edge to rounding over the step: then there are no events to look for."""
-    return bool(max(max(abs(gap), abs(w[Y, 1])), max(abs(w[Y, 2]), abs(w[Y, 3]))) <= _ROUNDING * abs(y))
+    return bool(max(abs(gap), abs(w[Y, 1]), abs(w[Y, 2]), abs(w[Y, 3])) <= _ROUNDING * abs(y))
 
 
 @fused_kernel
@@ -217,7 +214,8 @@ def advance(
     events: Vector,
     out: Vector,
 ) -> tuple[int, int]:
-    """Fill `out` (n, 6) with samples x, y, vx, vy, N, F_t from `state` (4,) on, which ends one interval after the last.
+    """Fill `out` (n, 6) with samples x, y, vx, vy, N, F_t from `state` (4,) on, which ends one interval after the
+    last.
 
     Args:
         state: x, y, vx, vy [m, m/s].
@@ -242,8 +240,24 @@ def advance(
     contact = is_in_contact(state, q)
     tally[SINCE], tally[EVENTS] = 0.0, 0.0
     x, y, vx, vy = state[0], state[1], state[2], state[3]
-    g0, g1, g2, g3, g4, g5, g6 = flow[GX], flow[GX + 1], flow[GX + 2], flow[GX + 3], flow[GX + 4], flow[GX + 5], flow[GX + 6]
-    k0, k1, k2, k3, k4, k5, k6 = flow[GY], flow[GY + 1], flow[GY + 2], flow[GY + 3], flow[GY + 4], flow[GY + 5], flow[GY + 6]
+    g0, g1, g2, g3, g4, g5, g6 = (
+        flow[GX],
+        flow[GX + 1],
+        flow[GX + 2],
+        flow[GX + 3],
+        flow[GX + 4],
+        flow[GX + 5],
+        flow[GX + 6],
+    )
+    k0, k1, k2, k3, k4, k5, k6 = (
+        flow[GY],
+        flow[GY + 1],
+        flow[GY + 2],
+        flow[GY + 3],
+        flow[GY + 4],
+        flow[GY + 5],
+        flow[GY + 6],
+    )
     n_out = out.shape[0]
     for i in range(n_out):
         normal = q[K_C] * max(0.0, edge - y)
@@ -266,7 +280,13 @@ def advance(
             xx, xy, yy = x_3 * x_3, x_3 * y_3, y_3 * y_3
             gx_3 = xx * (g0 + g3 * x_3 + g4 * y_3) + xy * g1 + yy * (g2 + g5 * x_3 + g6 * y_3)
             gy_3 = xx * (k0 + k3 * x_3 + k4 * y_3) + xy * k1 + yy * (k2 + k5 * x_3 + k6 * y_3)
-            bound = m[BOUND] + m[BOUND + 1] * abs(x) + m[BOUND + 2] * abs(y) + m[BOUND + 3] * abs(vx) + m[BOUND + 4] * abs(vy)
+            bound = (
+                m[BOUND]
+                + m[BOUND + 1] * abs(x)
+                + m[BOUND + 2] * abs(y)
+                + m[BOUND + 3] * abs(vx)
+                + m[BOUND + 4] * abs(vy)
+            )
             x_4 = m[DRIFT] + m[4] * x + m[5] * y + (m[6] * vx + m[7] * vy)
             y_4 = m[DRIFT + 1] + m[8] * x + m[9] * y + (m[10] * vx + m[11] * vy)
             vx_4 = m[DRIFT + 2] + m[12] * x + m[13] * y + (m[14] * vx + m[15] * vy)
@@ -276,7 +296,7 @@ def advance(
             vx_4 += (m[54] * gx_1 + m[55] * gy_1 + m[62] * gx_2) + (m[63] * gy_2 + m[70] * gx_3 + m[71] * gy_3)
             vy_4 += (m[56] * gx_1 + m[57] * gy_1 + m[64] * gx_2) + (m[65] * gy_2 + m[72] * gx_3 + m[73] * gy_3)
             room = min(abs(y - edge), abs(y_4 - edge))
-            reach = max(max(abs(x), abs(y)), max(abs(x_4), abs(y_4)))
+            reach = max(abs(x), abs(y), abs(x_4), abs(y_4))
             if room > eighth * bound and reach <= near and (y_4 < edge) == contact:
                 x, y, vx, vy = x_4, y_4, vx_4, vy_4
             else:

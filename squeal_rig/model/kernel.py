@@ -39,7 +39,11 @@ def _compiled(function: F, fastmath: bool | set[str]) -> F:
     sources = own.union(*(_sources.get(id(value), own) for value in named))
     if sources != own:
         function.__qualname__ += f"-{_digest(sources)}"
-    compiled = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=fastmath)(function)
+    options: dict[str, object] = {"nogil": True, "error_model": "numpy", "fastmath": fastmath}
+    try:
+        compiled = numba.njit(cache=True, **options)(function)
+    except RuntimeError:  # neither beside the source nor in the user's cache can be written: compiled at each start
+        compiled = numba.njit(**options)(function)
     _sources[id(compiled)] = sources
     return cast(F, compiled)
 

@@ -9,20 +9,22 @@ and variation of constants gives, exactly,
 
     z(h) = e^{Ah} z(0) + int_0^h e^{As} b ds + int_0^h e^{A(h-s)} B g(r(s)) ds.                                  (P)
 
-The first two terms are matrices, computed here once per set of parameters. In the last one r(s) is the linear path (one
-Picard sweep) at the three Gauss-Legendre nodes, whose weights w_i h e^{A(h - s_i)} B are computed here as well.
+The first two terms are matrices, computed here once per set of parameters. In the last one r(s) is the linear path
+(one Picard sweep) at the three Gauss-Legendre nodes, whose weights w_i h e^{A(h - s_i)} B are computed here as well.
 
 The arm's force in powers of r/L follows from the generating function of the Legendre polynomials P_n:
-L/l - 1 = sum_n (r/L)^n P_n(cos psi), psi the angle between r and the arm's axis n, so the force k (L/l - 1)(r - a) has
-at order n >= 2 the part k L (r/L)^n [P_{n-1} r/|r| - P_n n], never longer than 2 k L (r/L)^n. `g` keeps orders 2 and 3.
+L/l - 1 = sum_n (r/L)^n P_n(cos psi), psi the angle between r and the arm's axis n, so the force k (L/l - 1)(r - a)
+has at order n >= 2 the part k L (r/L)^n [P_{n-1} r/|r| - P_n n], never longer than 2 k L (r/L)^n. `g` keeps orders
+2 and 3.
 
 Error of one step, relative to r, with theta = h^2 sum k_i/(m L_i) r:
 - orders 4 and up:       h^2/2 sum 2 k_i/m (r/L_i)^3
-- one Picard sweep:      |g| <= 2 sum k_i/m r^2/L_i moves the path by theta r at most, and |dg/dr| <= 6 sum k_i/m r/L_i acts
-  on that for a mean of h^2/12: theta^2/2
+- one Picard sweep:      |g| <= 2 sum k_i/m r^2/L_i moves the path by theta r at most, and |dg/dr| <= 6 sum k_i/m
+  r/L_i acts on that for a mean of h^2/12: theta^2/2
 - Gauss-Legendre, 3 nodes: h^7/2016000 times a sixth derivative, (2 omega h)^6/2e6 theta <= 1e-8 theta
-`NEAR` is the r up to which the first two sum to `NEAR_ERROR` at most; beyond it the engine takes Taylor steps of the full
-nonlinear equations (squeal_rig.model.series). The bound is a worst case: at the preset a step loses below 1e-13.
+`NEAR` is the r up to which the first two sum to `NEAR_ERROR` at most; beyond it the engine takes Taylor steps of
+the full nonlinear equations (squeal_rig.model.series). The bound is a worst case: at the preset a step loses below
+1e-13.
 """
 
 from __future__ import annotations
@@ -55,7 +57,8 @@ from squeal_rig.model.kernel import kernel
 
 #: Largest error of one step by propagators, as a share of the displacement (the bound above).
 NEAR_ERROR = 1e-11
-#: Largest product of the mode's fastest rate and the step: the Taylor series of the path then end in rounding at order 11.
+#: Largest product of the mode's fastest rate and the step: the Taylor series of the path then end in rounding at
+#: order 11.
 RATE_TIMES_STEP = 0.25
 
 # Layout of the propagators of one mode, from its offset on.
@@ -89,7 +92,7 @@ def fastest_rate(q: Vector) -> float:
 def substeps_needed(q: Vector, interval: float, longest: float) -> int:
     """Steps per output interval [s] that keep rate times step below its bound and each step below `longest` [s]."""
     share = max(interval * fastest_rate(q) / RATE_TIMES_STEP, interval / longest)
-    return max(1, int(math.ceil(min(share, 1e9) * (1.0 - 1e-12))))
+    return max(1, math.ceil(min(share, 1e9) * (1.0 - 1e-12)))
 
 
 @kernel
@@ -106,8 +109,8 @@ def _shared(q: Vector, h: float, flow: Vector) -> None:
     flow[GX : GX + 14] = 0.0
     flow[K_AA], flow[K_AB], flow[K_BB] = q[K34] / q[MASS], 0.0, 0.0
     linear, cubic = 0.0, 0.0
-    for k, length, ax, ay in ((q[K1], q[L1], q[A1X], q[A1Y]), (q[K2], q[L2], q[A2X], q[A2Y])):
-        k = k / q[MASS]
+    for stiffness, length, ax, ay in ((q[K1], q[L1], q[A1X], q[A1Y]), (q[K2], q[L2], q[A2X], q[A2Y])):
+        k = stiffness / q[MASS]
         c, s = ax / length, ay / length
         flow[K_AA] += k * c * c
         flow[K_AB] += k * c * s
@@ -139,7 +142,9 @@ def _arm_polynomial(second: float, third: float, c: float, s: float, out: Vector
 
 @kernel
 def _mode(q: Vector, h: float, contact: bool, flow: Vector) -> None:
-    """The propagators of one mode: e^{As} and the drift by their Taylor series, which end in rounding (RATE_TIMES_STEP)."""
+    """The propagators of one mode: e^{As} and the drift by their Taylor series, which end in rounding
+    (RATE_TIMES_STEP).
+    """
     m = q[MASS]
     a, b = np.zeros((4, 4)), np.zeros(4)
     a[0, 2] = a[1, 3] = 1.0

@@ -1,4 +1,7 @@
-"""The static equilibrium of Eq. (2.3) in compiled code, for many operating points; `equilibrium` is the one for one."""
+"""The static equilibrium of Eq.
+
+(2.3) in compiled code, for many operating points; `equilibrium` is the one for one.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +34,9 @@ _TOLERANCE = 1e-9
 
 @kernel
 def rest_position(q: Vector) -> tuple[float, float, bool]:
-    """Equilibrium (x, y) [m] of the packed parameters by Newton's method from r = 0, and whether there is one in contact."""
+    """Equilibrium (x, y) [m] of the packed parameters by Newton's method from r = 0, and whether there is one
+    in contact.
+    """
     ratio = friction_ratio(0.0, q)
     x, y = 0.0, 0.0
     for _ in range(_MAX_STEPS):

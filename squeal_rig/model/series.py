@@ -2,8 +2,9 @@
 
 Coefficients are scaled by the step: x(tau h) = sum_n X_n tau^n, 0 <= tau <= 1. Recurrences (Jorba and Zou, A software
 package for the numerical integration of ODEs by means of high-order Taylor methods, Exp. Math. 14, 2005, section 3):
-products by Cauchy's rule; p = L/l = (1 + w)^(-1/2), w = (|r|^2 - 2 a.r)/L^2, from (1 + w) p' = -p w'/2; T = tanh s from
-T' = (1 - T^2) s'. The force of arm i is k_i (p_i - 1)(r - a_i), with p - 1 kept as its own series so that nothing cancels.
+products by Cauchy's rule; p = L/l = (1 + w)^(-1/2), w = (|r|^2 - 2 a.r)/L^2, from (1 + w) p' = -p w'/2; T = tanh s
+from T' = (1 - T^2) s'. The force of arm i is k_i (p_i - 1)(r - a_i), with p - 1 kept as its own series so that
+nothing cancels.
 """
 
 from __future__ import annotations
@@ -43,8 +44,8 @@ MAX_ORDER = 16
 #: Where the arms' rotation is small and rate times step at most 0.25 the series ends in rounding here.
 NEAR_ORDER = 11
 
-# Rows of the workspace: position; w and p - 1 of each arm; their weighted sum; normal force per mass; and for friction
-# that sees the slip: slip over V_reg, tanh, 1 - tanh^2, coefficient, F_t/N.
+# Rows of the workspace: position; w and p - 1 of each arm; their weighted sum; normal force per mass; and for
+# friction that sees the slip: slip over V_reg, tanh, 1 - tanh^2, coefficient, F_t/N.
 X, Y, W1, W2, P1, P2, PULL, NORMAL, SLIP, TANH, SECH2, COEFFICIENT, RATIO = range(13)
 EVENT = 13
 ROWS = 14
@@ -116,7 +117,9 @@ def expand(
 
 @fused_kernel
 def _local(c: Vector, x: float, y: float) -> tuple[float, float, float, float, float, float]:
-    """One component of g (squeal_rig.model.propagator) about (x, y): value, two slopes, coefficients of xx, xy, yy."""
+    """One component of g (squeal_rig.model.propagator) about (x, y): value, two slopes, coefficients of xx,
+    xy, yy.
+    """
     xx = c[0] + c[3] * x + c[4] * y
     yy = c[2] + c[5] * x + c[6] * y
     value = x * x * xx + x * y * c[1] + y * y * yy
@@ -138,8 +141,9 @@ def expand_near(
 ) -> tuple[float, float, float]:
     """As `expand`, to order 11, where the arms' rotation is small and friction constant; h at most the flow's step.
 
-    The polynomial g is taken about the start of the step: exactly to first order in the step's own movement d, its second
-    order up to order 5 in time. The cube left out is g_3(d), at most 2 k/m (d/L)^3 L: within the step below 1e-12 r.
+    The polynomial g is taken about the start of the step: exactly to first order in the step's own movement d, its
+    second order up to order 5 in time. The cube left out is g_3(d), at most 2 k/m (d/L)^3 L: within the step below
+    1e-12 r.
 
     Returns, of the coefficients of y from the second order on, the sum of |Y_n| and of n |Y_n|; and y(h) - y(0).
     """
@@ -158,25 +162,30 @@ def expand_near(
         yy -= hh * pressed
     ax, bx, cx, ay, by, cy = hh * ax, hh * bx, hh * cx, hh * ay, hh * by, hh * cy
     dx, dy = h * q[C_X] / m, h * q[C_Y] / m
-    x2, y2 = (hh * fx - dx * x1) / 2.0, (hh * fy - dy * y1) / 2.0
-    x3 = (xx * x1 + xy * y1 - 2.0 * dx * x2) / 6.0
-    y3 = (yx * x1 + yy * y1 - 2.0 * dy * y2) / 6.0
+    # Reciprocals, and the damping last: what each order waits for is one product.
+    x2, y2 = 0.5 * (hh * fx - dx * x1), 0.5 * (hh * fy - dy * y1)
+    x3 = (1.0 / 6.0) * (xx * x1 + xy * y1) - (1.0 / 3.0) * dx * x2
+    y3 = (1.0 / 6.0) * (yx * x1 + yy * y1) - (1.0 / 3.0) * dy * y2
     s, t, u = x1 * x1, x1 * y1, y1 * y1
-    x4 = (xx * x2 + xy * y2 - 3.0 * dx * x3 + ax * s + bx * t + cx * u) / 12.0
-    y4 = (yx * x2 + yy * y2 - 3.0 * dy * y3 + ay * s + by * t + cy * u) / 12.0
+    x4 = (1.0 / 12.0) * (xx * x2 + xy * y2 + (ax * s + bx * t + cx * u)) - 0.25 * dx * x3
+    y4 = (1.0 / 12.0) * (yx * x2 + yy * y2 + (ay * s + by * t + cy * u)) - 0.25 * dy * y3
     s, t, u = 2.0 * x1 * x2, x1 * y2 + x2 * y1, 2.0 * y1 * y2
-    x5 = (xx * x3 + xy * y3 - 4.0 * dx * x4 + ax * s + bx * t + cx * u) / 20.0
-    y5 = (yx * x3 + yy * y3 - 4.0 * dy * y4 + ay * s + by * t + cy * u) / 20.0
-    s, t, u = x2 * x2 + 2.0 * x1 * x3, x2 * y2 + x1 * y3 + x3 * y1, y2 * y2 + 2.0 * y1 * y3
-    x6 = (xx * x4 + xy * y4 - 5.0 * dx * x5 + ax * s + bx * t + cx * u) / 30.0
-    y6 = (yx * x4 + yy * y4 - 5.0 * dy * y5 + ay * s + by * t + cy * u) / 30.0
-    s, t, u = 2.0 * (x1 * x4 + x2 * x3), x1 * y4 + x4 * y1 + x2 * y3 + x3 * y2, 2.0 * (y1 * y4 + y2 * y3)
-    x7 = (xx * x5 + xy * y5 - 6.0 * dx * x6 + ax * s + bx * t + cx * u) / 42.0
-    y7 = (yx * x5 + yy * y5 - 6.0 * dy * y6 + ay * s + by * t + cy * u) / 42.0
-    x8, y8 = (xx * x6 + xy * y6 - 7.0 * dx * x7) / 56.0, (yx * x6 + yy * y6 - 7.0 * dy * y7) / 56.0
-    x9, y9 = (xx * x7 + xy * y7 - 8.0 * dx * x8) / 72.0, (yx * x7 + yy * y7 - 8.0 * dy * y8) / 72.0
-    x10, y10 = (xx * x8 + xy * y8 - 9.0 * dx * x9) / 90.0, (yx * x8 + yy * y8 - 9.0 * dy * y9) / 90.0
-    x11, y11 = (xx * x9 + xy * y9 - 10.0 * dx * x10) / 110.0, (yx * x9 + yy * y9 - 10.0 * dy * y10) / 110.0
+    x5 = 0.05 * (xx * x3 + xy * y3 + (ax * s + bx * t + cx * u)) - 0.2 * dx * x4
+    y5 = 0.05 * (yx * x3 + yy * y3 + (ay * s + by * t + cy * u)) - 0.2 * dy * y4
+    s, t, u = x2 * x2 + 2.0 * x1 * x3, x2 * y2 + (x1 * y3 + x3 * y1), y2 * y2 + 2.0 * y1 * y3
+    x6 = (1.0 / 30.0) * (xx * x4 + xy * y4 + (ax * s + bx * t + cx * u)) - (1.0 / 6.0) * dx * x5
+    y6 = (1.0 / 30.0) * (yx * x4 + yy * y4 + (ay * s + by * t + cy * u)) - (1.0 / 6.0) * dy * y5
+    s, t, u = 2.0 * (x1 * x4 + x2 * x3), x1 * y4 + x4 * y1 + (x2 * y3 + x3 * y2), 2.0 * (y1 * y4 + y2 * y3)
+    x7 = (1.0 / 42.0) * (xx * x5 + xy * y5 + (ax * s + bx * t + cx * u)) - (1.0 / 7.0) * dx * x6
+    y7 = (1.0 / 42.0) * (yx * x5 + yy * y5 + (ay * s + by * t + cy * u)) - (1.0 / 7.0) * dy * y6
+    x8 = (1.0 / 56.0) * (xx * x6 + xy * y6) - 0.125 * dx * x7
+    y8 = (1.0 / 56.0) * (yx * x6 + yy * y6) - 0.125 * dy * y7
+    x9 = (1.0 / 72.0) * (xx * x7 + xy * y7) - (1.0 / 9.0) * dx * x8
+    y9 = (1.0 / 72.0) * (yx * x7 + yy * y7) - (1.0 / 9.0) * dy * y8
+    x10 = (1.0 / 90.0) * (xx * x8 + xy * y8) - 0.1 * dx * x9
+    y10 = (1.0 / 90.0) * (yx * x8 + yy * y8) - 0.1 * dy * y9
+    x11 = (1.0 / 110.0) * (xx * x9 + xy * y9) - (1.0 / 11.0) * dx * x10
+    y11 = (1.0 / 110.0) * (yx * x9 + yy * y9) - (1.0 / 11.0) * dy * y10
     w[X, 0], w[X, 1], w[X, 2], w[X, 3], w[X, 4], w[X, 5] = x0, x1, x2, x3, x4, x5
     w[X, 6], w[X, 7], w[X, 8], w[X, 9], w[X, 10], w[X, 11] = x6, x7, x8, x9, x10, x11
     w[Y, 0], w[Y, 1], w[Y, 2], w[Y, 3], w[Y, 4], w[Y, 5] = y0, y1, y2, y3, y4, y5
@@ -268,8 +277,11 @@ def evaluate(w: Vector, order: int, tau: float, h: float, state: Vector) -> None
 
 @fused_kernel
 def trusted_share(w: Vector, order: int) -> float:
-    """Share of the step up to which the series is exact to rounding, from its last two terms (Jorba and Zou, section 3.2)."""
-    scale = max(abs(w[X, 0]), abs(w[Y, 0]), abs(w[X, 1]), abs(w[Y, 1]))
+    """Share of the step up to which the series is exact to rounding, from its last two terms (Jorba and Zou,
+    section 3.2).
+    """
+    # Up to the acceleration: a pad may start at rest at r = 0.
+    scale = max(abs(w[X, 0]), abs(w[Y, 0]), abs(w[X, 1]), abs(w[Y, 1]), abs(w[X, 2]), abs(w[Y, 2]))
     last = max(abs(w[X, order]), abs(w[Y, order]))
     before = max(abs(w[X, order - 1]), abs(w[Y, order - 1]))
     if not math.isfinite(last + before + scale):
@@ -284,9 +296,11 @@ def trusted_share(w: Vector, order: int) -> float:
 
 @fused_kernel
 def share_before_tanh_turns(w: Vector, order: int, share: float) -> float:
-    """The part of a trusted share of the step in which the slip moves less than half way to the nearest pole of tanh, at +- i pi/2.
+    """The part of a trusted share of the step in which the slip moves less than half way to the nearest pole of
+    tanh, at +- i pi/2.
 
-    Far from zero slip tanh is 1 to rounding and its series says nothing of the turn ahead: `trusted_share` cannot see it.
+    Far from zero slip tanh is 1 to rounding and its series says nothing of the turn ahead: `trusted_share` cannot
+    see it.
     """
     movement = 0.0
     for n in range(order - 2, 0, -1):
@@ -299,11 +313,13 @@ def share_before_tanh_turns(w: Vector, order: int, share: float) -> float:
 def first_zero(c: Vector, limit: float) -> tuple[float, bool]:
     """First zero in (0, limit], limit <= 1, of sum_n c_n t^n, to rounding; zeros at 0 are divided out.
 
-    March from 0 by the shortest time in which the series could reach zero: with value v, slope s towards zero and a bound M
-    of the second derivative that is v = s t + M t^2/2. Such a step never passes the first zero, however many follow, and
-    near a simple zero it is Newton's. So two crossings within a step or a graze are not missed, and none is invented.
+    March from 0 by the shortest time in which the series could reach zero: with value v, slope s towards zero and a
+    bound M of the second derivative that is v = s t + M t^2/2. Such a step never passes the first zero, however
+    many follow, and near a simple zero it is Newton's. So two crossings within a step or a graze are not missed,
+    and none is invented.
 
-    Returns up to where there is no zero (the limit, or less where the march was given up), and whether the zero is there.
+    Returns up to where there is no zero (the limit, or less where the march was given up), and whether the zero is
+    there.
     """
     low = 0
     while low < c.shape[0] and c[low] == 0.0:
@@ -330,7 +346,7 @@ def first_zero(c: Vector, limit: float) -> tuple[float, bool]:
         if reach * (limit - t) < 2.0 * value:
             return limit, False
         advance = 2.0 * value / reach
-        t += advance
+        t = min(t + advance, limit)
         if advance <= _EPS * t:
             return t, True
     return t, False
@@ -340,8 +356,9 @@ def first_zero(c: Vector, limit: float) -> tuple[float, bool]:
 def first_zero_near(c: Vector, size: float, slope: float, end: float) -> tuple[float, bool]:
     """`first_zero` of a series of order 11 up to 1, with short ways for what nearly always happens.
 
-    A first term that outweighs the others excludes a zero. A slope that keeps its sign allows one at most: the signs at the
-    ends tell whether there is, and Newton's method finds it. The other arguments are the sums that `expand_near` returns.
+    A first term that outweighs the others excludes a zero. A slope that keeps its sign allows one at most: the
+    signs at the ends tell whether there is, and Newton's method finds it. The other arguments are the sums that
+    `expand_near` returns.
     """
     if c[0] == 0.0:
         if abs(c[1]) > size:

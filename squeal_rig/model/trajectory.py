@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from squeal_rig.errors import ModelError, ParameterError
+from squeal_rig.errors import ParameterError
 from squeal_rig.model import exact, propagator, rk4
 from squeal_rig.model.dynamics import Vector, pack
 from squeal_rig.model.equilibrium import equilibrium

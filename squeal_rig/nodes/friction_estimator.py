@@ -15,7 +15,7 @@ from squeal_rig.errors import SquealRigError
 from squeal_rig.estimation.friction import FrictionEstimator, FrictionWindow
 from squeal_rig.estimation.regression import FrictionRegression
 from squeal_rig.estimation.settings import FrictionSettings
-from squeal_rig.instruments.channels import FRICTION_SAMPLE_RECORD
+from squeal_rig.instruments.channels import DAQ_CHANNELS, FRICTION_SAMPLE_RECORD, TRUTH_CHANNELS, block_from_cdr
 from squeal_rig.instruments.description import RigDescription
 from squeal_rig.nodes import qos
 from squeal_rig.nodes.conversions import cloud, labelled_array
@@ -23,7 +23,6 @@ from squeal_rig.nodes.health import DataWatch, Health, HealthPublisher
 from squeal_rig.nodes.lifetime import Lifetime, run_node
 from squeal_rig.nodes.parameters import NODE_OPTIONS, DeclaredParameters
 from squeal_rig.nodes.rig_follower import RigFollower
-from squeal_rig.recording import samples_from_cdr
 
 _MODEL_COLUMNS = "mu0, mu_speed, mu_preload, mu_speed_preload, rms_residual, operating_points"
 
@@ -58,7 +57,7 @@ class FrictionEstimatorNode(Node):
         if self._estimator is None:
             return
         try:
-            stamp, _, daq = samples_from_cdr(data)
+            stamp, _, daq = block_from_cdr(data, DAQ_CHANNELS)
             mu, valid, windows = self._estimator.add_samples(stamp, daq)
         except SquealRigError as error:
             self._reject(error)
@@ -72,7 +71,7 @@ class FrictionEstimatorNode(Node):
         if self._estimator is None:
             return
         try:
-            self._publish(self._estimator.add_truth(samples_from_cdr(data).samples))
+            self._publish(self._estimator.add_truth(block_from_cdr(data, TRUTH_CHANNELS).samples))
         except SquealRigError as error:
             self._reject(error)
 

@@ -21,9 +21,9 @@ from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 
 from squeal_rig.errors import ExperimentError, RecordingError
+from squeal_rig.instruments.channels import DAQ_CHANNELS, FRICTION_WINDOW_CHANNELS, block_from_cdr
 from squeal_rig.nodes import qos
 from squeal_rig.nodes.conversions import status_number, status_values
-from squeal_rig.recording import samples_from_cdr
 
 # Discovery of a service took up to 2.3 s where it was measured.
 _SERVICE_TIMEOUT = 10.0
@@ -156,18 +156,22 @@ class LiveGraph:
 
     def _on_daq(self, data: bytes) -> None:
         try:
-            daq = samples_from_cdr(data).samples
+            daq = block_from_cdr(data, DAQ_CHANNELS).samples
         except RecordingError:
             return  # the estimator counts and reports refused blocks
         last = int(daq["seq"][-1])
         self._samples += len(daq) if self._last_seq is None else (last - self._last_seq) % 2**32
         self._last_seq = last
-        self._interval = float(daq["t"][1] - daq["t"][0])
+        if len(daq) > 1:
+            self._interval = float(daq["t"][1] - daq["t"][0])
         self.state.sampled_time = self.sampled_time()
         self.state.preload, self.state.belt_speed = float(daq["preload"][-1]), float(daq["belt_speed"][-1])
 
     def _on_window(self, data: bytes) -> None:
-        window = samples_from_cdr(data).samples[0]
+        try:
+            window = block_from_cdr(data, FRICTION_WINDOW_CHANNELS).samples[0]
+        except RecordingError:
+            return
         self.windows.append(window)
         self.state.mu_estimated = float(window["mu"])
         self.state.mu_ratio_of_means = float(window["mu_ratio_of_means"])

@@ -26,6 +26,8 @@ from squeal_rig.recording.settings import PlayerSettings
 
 _WAIT_STEP = 0.02
 _CLOCK_PERIOD = 0.01
+# Subscribers are found one after the other: all there were for this time [s] are taken for all there are.
+_MATCHING = 0.5
 _ACKNOWLEDGE_TIMEOUT = 2.0
 
 
@@ -62,8 +64,7 @@ class PlayerNode(Node):
         try:
             self._wait_for_subscribers()
             self._publish_all()
-            for publisher in self._outputs.values():
-                publisher.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGE_TIMEOUT))
+            self._wait_for_acknowledgement()
         except RecordingError as error:
             self.get_logger().error(str(error))
             self._lifetime.stop(1)
@@ -72,15 +73,30 @@ class PlayerNode(Node):
             self._lifetime.stop()
 
     def _wait_for_subscribers(self) -> None:
+        """Wait until every topic has all the subscribers that the graph knows of, one at least, and for a while."""
+        if self._settings.wait_for_subscribers == 0.0:
+            return
         deadline = time.monotonic() + self._settings.wait_for_subscribers
+        complete: float | None = None
+        while (now := time.monotonic()) < deadline and not self._ending.wait(_WAIT_STEP):
+            counts = {topic: publisher.get_subscription_count() for topic, publisher in self._outputs.items()}
+            if any(count < max(1, self.count_subscribers(topic)) for topic, count in counts.items()):
+                complete = None
+            elif complete is None:
+                complete = now
+            elif now - complete >= _MATCHING:
+                return
         for topic, publisher in self._outputs.items():
-            while publisher.get_subscription_count() == 0:
-                if time.monotonic() >= deadline:
-                    if self._settings.wait_for_subscribers > 0.0:
-                        self.get_logger().warning(f"no subscriber to {topic}: playing without")
+            if publisher.get_subscription_count() == 0:
+                self.get_logger().warning(f"no subscriber to {topic}: playing without")
+
+    def _wait_for_acknowledgement(self) -> None:
+        """Give the last messages time to arrive; a subscriber that hangs must not keep us when we are to end."""
+        deadline = time.monotonic() + _ACKNOWLEDGE_TIMEOUT
+        for publisher in self._outputs.values():
+            while time.monotonic() < deadline and not (self._ending.is_set() or self._lifetime.stopping):
+                if publisher.wait_for_all_acked(Duration(seconds=_WAIT_STEP)):
                     break
-                if self._ending.wait(_WAIT_STEP):
-                    return
 
     def _publish_all(self) -> None:
         messages = self._bag.messages(list(self._outputs))

@@ -52,10 +52,10 @@ class RigNode(LifecycleNode):
         offer_services(self, self)
         HealthPublisher(self, self._health)
         if self._settings.autostart:
-            self.trigger_configure()
-            self.trigger_activate()
-            if self._fault:
-                raise DriverError(f"rig: {self._fault}")
+            for transition in (self.trigger_configure, self.trigger_activate):
+                transition()
+                if self._fault:
+                    raise DriverError(f"rig: {self._fault}")
 
     # --- lifecycle
 

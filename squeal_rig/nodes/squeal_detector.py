@@ -12,6 +12,7 @@ from sensor_msgs.msg import PointCloud2
 from squeal_rig.errors import SquealRigError
 from squeal_rig.estimation.settings import SquealSettings
 from squeal_rig.estimation.squeal import SquealDetector, SquealState
+from squeal_rig.instruments.channels import DAQ_CHANNELS, block_from_cdr
 from squeal_rig.instruments.description import RigDescription
 from squeal_rig.nodes import qos
 from squeal_rig.nodes.conversions import OK, WARN, diagnostics, status
@@ -19,7 +20,6 @@ from squeal_rig.nodes.health import DataWatch, Health, HealthPublisher
 from squeal_rig.nodes.lifetime import Lifetime, run_node
 from squeal_rig.nodes.parameters import NODE_OPTIONS, DeclaredParameters
 from squeal_rig.nodes.rig_follower import RigFollower
-from squeal_rig.recording import samples_from_cdr
 
 
 class SquealDetectorNode(Node):
@@ -47,7 +47,7 @@ class SquealDetectorNode(Node):
         if self._detector is None:
             return
         try:
-            stamp, _, daq = samples_from_cdr(data)
+            stamp, _, daq = block_from_cdr(data, DAQ_CHANNELS)
             for state in self._detector.add_samples(stamp, daq):
                 self._publisher.publish(_message(state))
         except SquealRigError as error:

@@ -13,7 +13,9 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64MultiArray
 
 from squeal_rig.errors import ModelError, SquealRigError
+from squeal_rig.instruments.channels import DAQ_CHANNELS, FRICTION_WINDOW_CHANNELS, block_from_cdr
 from squeal_rig.instruments.description import RigDescription
+from squeal_rig.model.declared import checked, declarations
 from squeal_rig.model.friction import friction_coefficient
 from squeal_rig.model.parameters import RigParameters
 from squeal_rig.model.stability import stability_report
@@ -23,7 +25,6 @@ from squeal_rig.nodes.health import DataWatch, Health, HealthPublisher
 from squeal_rig.nodes.lifetime import Lifetime, run_node
 from squeal_rig.nodes.parameters import NODE_OPTIONS, DeclaredParameters
 from squeal_rig.nodes.rig_follower import RigFollower
-from squeal_rig.recording import samples_from_cdr
 
 # While the operating point slews, what is in force is analysed at most this often [s].
 _IN_FORCE_PERIOD = 0.05
@@ -57,11 +58,11 @@ class StabilityNode(Node):
     def _on_daq(self, data: bytes) -> None:
         self._watch.seen()
         try:
-            daq = samples_from_cdr(data).samples
+            last = block_from_cdr(data, DAQ_CHANNELS).samples[-1]
+            in_force = _within_bounds("preload", last["preload"]), _within_bounds("belt_speed", last["belt_speed"])
         except SquealRigError as error:
             self._reject(error)
             return
-        in_force = float(daq["preload"][-1]), float(daq["belt_speed"][-1])
         if in_force != self._in_force:
             self._in_force = in_force
             self._summary_due = True
@@ -70,11 +71,12 @@ class StabilityNode(Node):
 
     def _on_window(self, data: bytes) -> None:
         try:
-            window = samples_from_cdr(data).samples[0]
+            estimated = float(block_from_cdr(data, FRICTION_WINDOW_CHANNELS).samples[0]["mu_ratio_of_means"])
+            # nan: this window has none.
+            self._estimated = estimated if math.isnan(estimated) else _within_bounds("mu0", estimated)
         except SquealRigError as error:
             self._reject(error)
             return
-        self._estimated = float(window["mu_ratio_of_means"])
         self._summary_due = True
 
     def _reject(self, error: SquealRigError) -> None:
@@ -125,6 +127,11 @@ class StabilityNode(Node):
 
     def _health(self) -> Health:
         return self._watch.health({"analyses": self._analyses, "rejected messages": self._rejected})
+
+
+def _within_bounds(name: str, measured: float) -> float:
+    """A measured value that is to be put in a parameter's place; `ParameterError` where it cannot be."""
+    return checked(declarations(RigParameters)[name], float(measured))
 
 
 def main(args: Sequence[str] | None = None) -> int:

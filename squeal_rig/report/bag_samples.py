@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from squeal_rig.errors import RecordingError
+from squeal_rig.instruments.channels import DAQ_CHANNELS, TRUTH_CHANNELS, block_from_cdr
 from squeal_rig.instruments.description import RigDescription
-from squeal_rig.recording import Bag, as_mapping, decoder_of, samples_from_cdr
+from squeal_rig.recording import Bag, as_mapping, decoder_of
 
 DESCRIPTION, DAQ, TRUTH = "rig/description", "daq/samples", "truth/samples"
 
@@ -55,7 +56,9 @@ def recorded_blocks(bag: Bag) -> Iterator[RecordedBlock]:
         if message.topic == topics[DESCRIPTION]:
             rig = RigDescription.from_yaml(as_mapping(decode(message.data))["data"])
             continue
-        stamp, _, samples = samples_from_cdr(message.data)
+        stamp, _, samples = block_from_cdr(
+            message.data, TRUTH_CHANNELS if message.topic == topics[TRUTH] else DAQ_CHANNELS
+        )
         if message.topic == topics[TRUTH]:
             truths[int(samples["seq"][0])] = samples
         else:

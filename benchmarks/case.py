@@ -1,0 +1,61 @@
+"""The case all peers solve, and how time and error are measured."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from squeal_rig.model import RigParameters, displaced_state, simulate
+from squeal_rig.model.dynamics import Vector, pack
+from tests.model.dop853 import reference
+
+RATE = 51200.0
+DURATION = 0.05
+CASE = RigParameters().replace(preload=300.0, belt_speed=1.0, pad_stiffness=6e7, damping_x=20.0, damping_y=20.0)
+START = displaced_state(CASE, 3.0)
+PACKED = pack(CASE)
+TIMES = np.arange(int(DURATION * RATE) + 1) / RATE
+
+
+@dataclass(frozen=True)
+class Point:
+    """One setting of one solver: its error (share of the amplitude) and its best wall time [s] for `DURATION`."""
+
+    solver: str
+    setting: str
+    error: float
+    seconds: float
+
+
+def best_time(run: Callable[[], object], repeats: int = 5, at_most: float = 4.0) -> float:
+    """Shortest wall time [s] of some repeats: others on the machine only make it longer."""
+    times: list[float] = []
+    while len(times) < repeats and (not times or sum(times) < at_most):
+        begin = time.perf_counter()
+        run()
+        times.append(time.perf_counter() - begin)
+    return min(times)
+
+
+def expected_states() -> Vector:
+    """The reference solution at `TIMES`."""
+    states: NDArray[np.float64] = reference(CASE, START, TIMES)[0]
+    return states
+
+
+def error_of(states: Vector, expected: Vector) -> float:
+    """Largest error of x and y as a share of the largest displacement."""
+    return float(np.max(np.abs(states[:, :2] - expected[:, :2])) / np.max(np.abs(expected[:, :2])))
+
+
+def amplification() -> float:
+    """How much a small change of the start has grown at its largest."""
+    nudged = START.copy()
+    change = 1e-8 * abs(START[1])
+    nudged[1] -= change
+    one, other = (simulate(CASE, DURATION, initial_state=start) for start in (START, nudged))
+    return float(max(np.max(np.abs(one.x - other.x)), np.max(np.abs(one.y - other.y))) / change)

@@ -1,0 +1,1 @@
+"""The paper's results computed from the preset and laid beside the printed numbers."""

@@ -1,0 +1,1 @@
+"""Tests of the pure physics: published and analytic cases, an independent reference, properties."""

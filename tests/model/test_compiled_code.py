@@ -1,0 +1,92 @@
+"""Compiled kernels: nothing is compiled at import, and compiled code is kept on disk for as long as it is right."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import squeal_rig
+from squeal_rig.model.trajectory import ENGINES
+
+ROOT = Path(squeal_rig.__file__).parents[1]
+
+LIST_KERNELS = """
+import sys
+import squeal_rig.model
+from numba.core.dispatcher import Dispatcher
+kernels = {}
+for name, module in list(sys.modules.items()):
+    if name.startswith("squeal_rig."):
+        for value in vars(module).values():
+            if isinstance(value, Dispatcher):
+                kernels[value.py_func.__name__] = value
+"""
+
+SIMULATE = """
+from squeal_rig.model import RigParameters, {engine}, simulate, state_derivative
+p, start = RigParameters(), [1e-6, 0.0, 0.0, 0.0]
+run = simulate(p, 1e-6, 1e6, start, engine="{engine}")
+acceleration = state_derivative(p, start)[2]
+stats = {engine}.advance.stats
+print(sum(stats.cache_hits.values()), sum(stats.cache_misses.values()), run.vx[1] / 1e-6, acceleration)
+"""
+
+
+def python(code, root=ROOT, **environment):
+    result = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=root,
+        env={**os.environ, "PYTHONPATH": str(root), **environment},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert result.returncode == 0, result.stderr
+    return result.stdout.split()
+
+
+def test_importing_the_model_compiles_nothing():
+    compiled = python(
+        LIST_KERNELS
+        + """
+for name, kernel in kernels.items():
+    print(name, len(kernel.signatures), kernel.stats.cache_hits.total() + kernel.stats.cache_misses.total())
+"""
+    )
+    names, counts = compiled[::3], compiled[1::3] + compiled[2::3]
+    assert {"acceleration", "spring_force", "friction_ratio", "advance"} <= set(names)
+    assert set(counts) == {"0"}
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_second_process_loads_compiled_code_and_does_not_compile(tmp_path, engine):
+    code = SIMULATE.format(engine=engine)
+    hits, misses, *first = python(code, NUMBA_CACHE_DIR=str(tmp_path))
+    assert (hits, misses) == ("0", "1")
+    hits, misses, *second = python(code, NUMBA_CACHE_DIR=str(tmp_path))
+    assert (hits, misses) == ("1", "0")
+    assert second == first
+
+
+def test_code_compiled_from_an_older_right_hand_side_is_not_used(tmp_path):
+    """numba looks for changes in a kernel's own file only; the engine is in another one than the physics."""
+    for folder in ("squeal_rig", "config"):
+        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    cache = str(tmp_path / "cache")
+    # The exact engine has no right-hand side to change: it expands the equations itself.
+    code = SIMULATE.format(engine="rk4")
+    *_, before, right_before = map(float, python(code, tmp_path, NUMBA_CACHE_DIR=cache))
+    dynamics = tmp_path / "squeal_rig" / "model" / "dynamics.py"
+    text = dynamics.read_text(encoding="utf-8")
+    changed = text.replace("return fx / q[MASS], fy / q[MASS]", "return fx / q[MASS] + 1000.0, fy / q[MASS]")
+    assert changed != text
+    dynamics.write_text(changed, encoding="utf-8")
+    *_, after, right_after = map(float, python(code, tmp_path, NUMBA_CACHE_DIR=cache))
+    # One step of 1e-6 s: the mean acceleration differs from that at its start by (omega h)^2.
+    assert before == pytest.approx(right_before, rel=1e-4)
+    assert right_after == pytest.approx(right_before + 1000.0, rel=1e-9)
+    assert after == pytest.approx(right_after, rel=1e-4)

@@ -1,0 +1,167 @@
+"""Domains, processes and an observer for the tests of nodes; a running rig with its estimators to share."""
+
+from dataclasses import dataclass, field
+
+import pytest
+
+from squeal_rig.model.configuration import config_directory
+
+from .domains import private_domain
+from .processes import Processes
+
+# Compiling the model for the first time takes tens of seconds on a slow machine.
+_COMPILING = 180.0
+_MEASURED = pytest.StashKey[list]()
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    """Show what was measured: the tests assert far wider bounds, since machines are noisy."""
+    for line in config.stash.get(_MEASURED, []):
+        terminalreporter.write_line(f"measured: {line}")
+
+
+@pytest.fixture
+def measured(request):
+    """Keeps a sentence with a measured number for the end of the test's output."""
+    return request.config.stash.setdefault(_MEASURED, []).append
+
+
+@pytest.fixture(scope="session")
+def config_file():
+    """The rig.yaml that ships with the package."""
+    return config_directory() / "rig.yaml"
+
+
+@pytest.fixture(scope="module")
+def domain():
+    """A ROS domain of this module alone."""
+    with private_domain() as number:
+        yield number
+
+
+@pytest.fixture(scope="module")
+def processes(domain, tmp_path_factory):
+    """Starts children on the module's domain; all are gone at its end."""
+    started = Processes(domain, tmp_path_factory.mktemp("logs"))
+    yield started
+    started.end_all()
+
+
+@pytest.fixture(scope="module")
+def observer(domain):
+    """The test's own node on the module's domain."""
+    # Imported here, so that collecting needs no ROS.
+    from .observer import Observer
+
+    node = Observer(domain)
+    yield node
+    node.close()
+
+
+@pytest.fixture(scope="session")
+def compiled(tmp_path_factory):
+    """Has the compiled model on disk, so that nodes start as they do from the second time on."""
+    from .observer import Observer
+
+    with private_domain() as number:
+        started = Processes(number, tmp_path_factory.mktemp("compile"))
+        node = Observer(number)
+        started.node("simulator")
+        node.first("daq/samples", _COMPILING)
+        node.close()
+        started.end_all()
+
+
+#: Operating point, law and slew of a bench at rest; slew so fast that a set point is in force one block later.
+AT_REST = {
+    "preload": 50.0,
+    "belt_speed": 1.0,
+    "k1": 4.0e7,
+    "k2": 4.0e7,
+    "mu0": 0.25010,
+    "mu_speed": 9.1366e-3,
+    "mu_preload": 2.3202e-3,
+    "mu_speed_preload": -5.1639e-4,
+    "preload_slew_rate": 1e9,
+    "belt_acceleration": 1e6,
+    "stiffness_slew_rate": 1e15,
+    "impact_impulse": 0.05,
+}
+
+
+@dataclass
+class Bench:
+    """A running rig with its estimators, and the observer that follows them."""
+
+    observer: object
+    processes: object
+    nodes: dict
+    # What has come, by name; not shown when a test fails, it is long.
+    daq: object = field(repr=False)
+    truth: object = field(repr=False)
+    windows: object = field(repr=False)
+    friction_samples: object = field(repr=False)
+    summaries: object = field(repr=False)
+    eigenvalues: object = field(repr=False)
+    health: object = field(repr=False)
+
+    def in_force(self):
+        """(preload [N], belt speed [m/s]) at the end of the newest block."""
+        last = self.daq[-1].samples[-1]
+        return float(last["preload"]), float(last["belt_speed"])
+
+    def rest(self, **changes):
+        """The pad at rest at an operating point in force."""
+        wanted = {**AT_REST, **changes}
+        assert self.observer.set(wanted, atomically=True) == [(True, "")]
+        point = wanted["preload"], wanted["belt_speed"]
+        self.next_block()
+        self.observer.wait_for(lambda: self.in_force() == point, f"{point} in force")
+        assert self.observer.trigger("reset")[0]
+        self.next_block()
+
+    def next_block(self):
+        """The second block from now: a change made before is in force in it."""
+        newest, size = self.daq[-1].samples["seq"][-1], len(self.daq[-1].samples)
+        self.observer.wait_for(lambda: self.daq[-1].samples["seq"][-1] >= newest + 2 * size, "the next blocks")
+        return self.daq[-1]
+
+
+@pytest.fixture(scope="session")
+def running(compiled, tmp_path_factory, config_file):
+    """A rig, an estimator, stability and the squeal detector, all on the parameters that ship, sampling."""
+    from .observer import Observer
+
+    files = ["--params-file", str(config_file)]
+    names = ("friction_estimator", "stability", "squeal_detector", "simulator")
+    with private_domain() as domain:
+        processes = Processes(domain, tmp_path_factory.mktemp("bench"))
+        observer = Observer(domain)
+        bench = Bench(
+            observer,
+            processes,
+            nodes={name: processes.node(name, *files) for name in names},
+            daq=observer.follow_samples("daq/samples"),
+            truth=observer.follow_samples("truth/samples"),
+            windows=observer.follow_samples("friction/windows"),
+            friction_samples=observer.follow_samples("friction/samples"),
+            summaries=observer.follow("stability/summary"),
+            eigenvalues=observer.follow("stability/eigenvalues"),
+            health=observer.follow("/diagnostics"),
+        )
+        for what in ("daq", "truth", "windows", "friction_samples", "summaries", "eigenvalues", "health"):
+            observer.wait_for(lambda what=what: getattr(bench, what), what)
+        yield bench
+        observer.close()
+        processes.end_all()
+
+
+@pytest.fixture
+def bench(running):
+    """The running rig, at rest at its stable operating point; paused while no test uses it."""
+    running.observer.pause(False)
+    running.rest()
+    yield running
+    dead = [name for name, node in running.nodes.items() if not node.running]
+    assert not dead, f"ended during the test: {dead}"
+    running.observer.pause(True)

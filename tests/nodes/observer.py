@@ -1,0 +1,188 @@
+"""The test's own node: sees topics, sets parameters, calls services, waits on conditions."""
+
+import time
+from collections import deque
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from rcl_interfaces.srv import GetParameters, SetParameters, SetParametersAtomically
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter, parameter_value_to_python
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Float64MultiArray, String
+from std_srvs.srv import SetBool, Trigger
+
+from squeal_rig.instruments.description import RigDescription
+from squeal_rig.nodes import qos
+from squeal_rig.recording import samples_from_cdr
+
+#: Discovery of a service usually takes 0.25 s, and now and then over 2 s; a loaded machine is slower.
+PATIENCE = 15.0
+# A subscriber seen in the graph is matched with its publishers this much later at the latest, as far as was seen.
+_MATCHING = 1.0
+_TRANSITIONS = {
+    "configure": Transition.TRANSITION_CONFIGURE,
+    "activate": Transition.TRANSITION_ACTIVATE,
+    "deactivate": Transition.TRANSITION_DEACTIVATE,
+    "cleanup": Transition.TRANSITION_CLEANUP,
+}
+# A transition that opens the model compiles it where its sources have changed.
+_COMPILING = 120.0
+_TOPICS = {
+    "rig/description": (String, qos.LATCHED),
+    "daq/samples": (PointCloud2, qos.BLOCKS),
+    "truth/samples": (PointCloud2, qos.BLOCKS),
+    "friction/windows": (PointCloud2, qos.EVENTS),
+    "friction/model": (Float64MultiArray, qos.LATCHED),
+    "friction/samples": (PointCloud2, qos.BLOCKS),
+    "stability/summary": (DiagnosticArray, qos.LATCHED),
+    "stability/eigenvalues": (Float64MultiArray, qos.LATCHED),
+    "squeal/state": (DiagnosticArray, qos.EVENTS),
+    "/diagnostics": (DiagnosticArray, qos.EVENTS),
+}
+
+
+class Observer:
+    """A node in the test's process. Messages are kept, newest last, at most `depth` a topic."""
+
+    def __init__(self, domain):
+        self.context = rclpy.Context()
+        rclpy.init(args=[], context=self.context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
+        self.node = Node("observer", context=self.context, start_parameter_services=False, enable_rosout=False)
+        self._executor = SingleThreadedExecutor(context=self.context)
+        self._executor.add_node(self.node)
+        self._clients = {}
+
+    def close(self):
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+    # --- waiting
+
+    def wait_for(self, condition, what, timeout=PATIENCE):
+        """Spin until the condition holds; returns its value. Fails after `timeout` [s]."""
+        deadline = time.monotonic() + timeout
+        while not (value := condition()):
+            assert time.monotonic() < deadline, f"{what}: not within {timeout:g} s"
+            self._executor.spin_once(timeout_sec=0.02)
+        return value
+
+    def wait_for_end(self, child, timeout=PATIENCE):
+        """Exit code of a child process, once it has ended."""
+        self.wait_for(lambda: not child.running, "the end of the process", timeout)
+        return child.wait()
+
+    def spin(self, seconds):
+        """Take what comes for a time during which something must not happen [s]."""
+        deadline = time.monotonic() + seconds
+        while (left := deadline - time.monotonic()) > 0.0:
+            self._executor.spin_once(timeout_sec=left)
+
+    def wait_for_listeners(self, topic, count):
+        """Wait until that many subscribe to a topic, and publishers can be taken to know it."""
+        self.wait_for(lambda: self.node.count_subscribers(topic) >= count, f"{count} listeners to {topic}")
+        self.spin(_MATCHING)
+
+    # --- topics
+
+    def follow(self, topic, depth=1000, raw=False):
+        """Everything that comes on a topic from now on: a deque of messages, of bytes where `raw`."""
+        kind, profile = _kind_and_profile(topic)
+        messages = deque(maxlen=depth)
+        self.node.create_subscription(kind, topic, _taken_by(messages), profile, raw=raw)
+        return messages
+
+    def follow_samples(self, topic, depth=1000):
+        """Blocks of samples from now on: a deque of (stamp [ns], frame, structured array)."""
+        blocks = deque(maxlen=depth)
+        self.node.create_subscription(
+            PointCloud2, topic, lambda data: blocks.append(samples_from_cdr(data)), qos.BLOCKS, raw=True
+        )
+        return blocks
+
+    def publisher(self, topic):
+        """A publisher with the type and the QoS of the rig's own."""
+        kind, profile = _kind_and_profile(topic)
+        return self.node.create_publisher(kind, topic, profile)
+
+    def first(self, topic, timeout=PATIENCE):
+        """The next message of a topic, or the latched one."""
+        kind, profile = _kind_and_profile(topic)
+        messages = []
+        subscription = self.node.create_subscription(kind, topic, _taken_by(messages), profile)
+        try:
+            return self.wait_for(lambda: messages and messages[-1], f"a message on {topic}", timeout)
+        finally:
+            self.node.destroy_subscription(subscription)
+
+    def description(self, rig="rig"):
+        """The rig's description as it is latched now."""
+        namespace = rig[: -len("rig")]
+        return RigDescription.from_yaml(self.first(f"{namespace}rig/description").data)
+
+    # --- services
+
+    def call(self, kind, name, request, timeout=PATIENCE):
+        """Answer of a service."""
+        client = self._clients.get(name)
+        if client is None:
+            client = self._clients[name] = self.node.create_client(kind, name)
+        self.wait_for(client.service_is_ready, f"service {name}", timeout)
+        future = client.call_async(request)
+        self.wait_for(future.done, f"the answer of {name}", timeout)
+        return future.result()
+
+    def trigger(self, name, rig="rig"):
+        """(success, message) of one of the rig's trigger services."""
+        answer = self.call(Trigger, f"{rig}/{name}", Trigger.Request())
+        return answer.success, answer.message
+
+    def pause(self, on, rig="rig"):
+        """(success, message) of the rig's pause service."""
+        answer = self.call(SetBool, f"{rig}/pause", SetBool.Request(data=on))
+        return answer.success, answer.message
+
+    def transition(self, name, rig="rig"):
+        """Take the rig through a lifecycle transition; returns whether it went."""
+        request = ChangeState.Request(transition=Transition(id=_TRANSITIONS[name]))
+        return self.call(ChangeState, f"{rig}/change_state", request, _COMPILING).success
+
+    def state(self, rig="rig"):
+        """Name of the rig's lifecycle state."""
+        return self.call(GetState, f"{rig}/get_state", GetState.Request()).current_state.label
+
+    # --- parameters
+
+    def set(self, values, node="rig", atomically=False):
+        """Set parameters; returns (successful, reason) of each, of the whole where `atomically`."""
+        messages = [
+            value if hasattr(value, "value") else Parameter(name, value=value).to_parameter_msg()
+            for name, value in values.items()
+        ]
+        if atomically:
+            kind, service = SetParametersAtomically, "set_parameters_atomically"
+            result = self.call(kind, f"{node}/{service}", kind.Request(parameters=messages)).result
+            return [(result.successful, result.reason)]
+        results = self.call(SetParameters, f"{node}/set_parameters", SetParameters.Request(parameters=messages)).results
+        return [(result.successful, result.reason) for result in results]
+
+    def get(self, names, node="rig"):
+        """Values of parameters by name, as the node's parameter service tells them."""
+        values = self.call(GetParameters, f"{node}/get_parameters", GetParameters.Request(names=list(names))).values
+        return dict(zip(names, map(parameter_value_to_python, values), strict=True))
+
+
+def _taken_by(messages):
+    # rclpy looks at a callback's signature, and a built-in's append has none.
+    def take(message):
+        messages.append(message)
+
+    return take
+
+
+def _kind_and_profile(topic):
+    return _TOPICS[topic if topic in _TOPICS else "/".join(topic.split("/")[-2:])]

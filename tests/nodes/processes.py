@@ -1,0 +1,109 @@
+"""Nodes as child processes: what `ros2 run` would start, with what they print kept in a file."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import squeal_rig
+
+# The children run the very package the tests run, from whatever folder they are started in.
+_PACKAGE_PARENT = str(Path(squeal_rig.__file__).parents[1])
+
+
+class Child:
+    """A child process in a session of its own, since a shell's background children ignore SIGINT."""
+
+    def __init__(self, command, log, domain, cwd=None):
+        self._logs = log.with_suffix(".out"), log.with_suffix(".err")
+        environment = {
+            **os.environ,
+            "ROS_DOMAIN_ID": str(domain),
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "PYTHONPATH": os.pathsep.join(filter(None, (_PACKAGE_PARENT, os.environ.get("PYTHONPATH")))),
+            "PYTHONUNBUFFERED": "1",
+            "COLUMNS": "160",
+        }
+        with self._logs[0].open("wb") as output, self._logs[1].open("wb") as errors:
+            self.process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=errors,
+                start_new_session=True,
+                env=environment,
+                cwd=cwd,
+            )
+
+    @property
+    def running(self):
+        return self.process.poll() is None
+
+    @property
+    def output(self):
+        """What it printed for people to read on."""
+        return self._logs[0].read_text(encoding="utf-8", errors="replace")
+
+    @property
+    def errors(self):
+        """What it printed to stderr: refusals, and the log of ROS."""
+        return self._logs[1].read_text(encoding="utf-8", errors="replace")
+
+    def send(self, number):
+        os.kill(self.process.pid, number)
+
+    def wait(self, timeout=20.0):
+        """Exit code; `TimeoutExpired` after that many seconds."""
+        return self.process.wait(timeout)
+
+    def end(self, *numbers):
+        """Send signals one right after the other; returns exit code and the time it took [s]."""
+        begin = time.monotonic()
+        for number in numbers or (signal.SIGINT,):
+            self.send(number)
+        return self.wait(), time.monotonic() - begin
+
+    def kill(self):
+        if self.running:
+            self.send(signal.SIGKILL)
+            self.wait()
+
+
+class Processes:
+    """Starts children on one domain and sees to it that none survives the tests."""
+
+    def __init__(self, domain, folder):
+        self.domain = domain
+        self.folder = folder
+        self._children = []
+
+    def start(self, command, cwd=None):
+        child = Child(command, self.folder / str(len(self._children)), self.domain, cwd)
+        self._children.append(child)
+        return child
+
+    def node(self, executable, *ros_arguments):
+        """Start one node of the package; arguments as after `--ros-args`."""
+        return self.start([sys.executable, "-m", f"squeal_rig.nodes.{executable}", "--ros-args", *ros_arguments])
+
+    def command(self, *arguments, cwd=None):
+        """Start the command `squeal-rig`."""
+        return self.start([sys.executable, "-m", "squeal_rig.cli", *map(str, arguments)], cwd)
+
+    def end_all(self):
+        """Ask every child to end, then see to it."""
+        for child in self._children:
+            if child.running:
+                child.send(signal.SIGINT)
+        for child in self._children:
+            try:
+                child.wait(10.0)
+            except subprocess.TimeoutExpired:
+                child.kill()
+
+
+def parameters(**values):
+    """`-p name:=value` for every value, as text."""
+    return [word for name, value in values.items() for word in ("-p", f"{name}:={value}")]

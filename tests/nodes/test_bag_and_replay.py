@@ -1,0 +1,147 @@
+"""A recorded run is whole, others can read it, and its replay gives every byte and every number again."""
+
+import collections
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import Reader
+
+from squeal_rig.nodes.replay_check import compared, recorded_windows
+from squeal_rig.recording import Bag, samples_from_cdr
+
+from .processes import parameters
+from .statuses import health_of
+
+pytest.importorskip("rclpy")
+
+REPLAYED = ("/daq/samples", "/truth/samples", "/rig/description")
+_SAMPLES = ("/daq/samples", "/truth/samples")
+
+
+@pytest.fixture(scope="module")
+def live(compiled, processes, observer, config_file, tmp_path_factory):
+    """A bag of a run into squeal, from its first sample on."""
+    bag = tmp_path_factory.mktemp("bags") / "live"
+    files = ["--params-file", str(config_file)]
+    estimator = processes.node("friction_estimator", *files)
+    recorder = processes.node("recorder", *files, *parameters(directory=bag))
+    simulator = processes.node("simulator", *files, *parameters(autostart="false", preload=300.0))
+    health = observer.follow("/diagnostics")
+    assert observer.transition("configure")
+    for topic in _SAMPLES:
+        observer.wait_for_listeners(topic, 2)
+    assert observer.transition("activate")
+    assert observer.trigger("impact")[0]
+
+    def enough():
+        state = health_of(health, "friction_estimator")
+        return state and int(state[2]["windows"]) >= 10
+
+    observer.wait_for(enough, "ten windows", 30.0)
+    for node in (simulator, estimator, recorder):
+        code, _ = node.end()
+        assert code == 0, node.errors
+    return bag
+
+
+@pytest.fixture(scope="module")
+def replayed(live, processes, observer, config_file, tmp_path_factory):
+    """A bag of the replay of the live one, with a fresh estimator listening."""
+    bag = tmp_path_factory.mktemp("bags") / "replayed"
+    files = ["--params-file", str(config_file)]
+    estimator = processes.node("friction_estimator", *files)
+    recorder = processes.node("recorder", *files, *parameters(directory=bag))
+    # The recorder subscribes as topics appear: these do so before the player, which then finds all its listeners.
+    silent = [observer.publisher(topic) for topic in REPLAYED]
+    for topic in REPLAYED:
+        observer.wait_for_listeners(topic, 2)
+    player = processes.node("player", *files, *parameters(bag=live, rate=1.0, wait_for_subscribers=10.0))
+    assert observer.wait_for_end(player, 40.0) == 0
+    for publisher in silent:
+        observer.node.destroy_publisher(publisher)
+    for node in (estimator, recorder):
+        code, _ = node.end()
+        assert code == 0, node.errors
+    return bag
+
+
+def _payloads(bag):
+    """Topic -> payloads in order, read by `mcap`."""
+    payloads = collections.defaultdict(list)
+    for file in Bag(bag).files:
+        with file.open("rb") as stream:
+            for _, channel, message in make_reader(stream, validate_crcs=True).iter_messages():
+                payloads[channel.topic].append(message.data)
+    return payloads
+
+
+def _samples(bag, topic):
+    return np.concatenate([samples_from_cdr(data).samples for data in _payloads(bag)[topic]])
+
+
+@pytest.mark.parametrize("topic", _SAMPLES)
+def test_the_samples_of_a_bag_are_numbered_from_zero_without_a_gap(live, topic):
+    seq = _samples(live, topic)["seq"]
+    np.testing.assert_array_equal(seq, np.arange(len(seq)))
+    assert len(seq) >= 2 * 51200
+
+
+def test_rosbags_reads_the_bag_and_every_message_in_it(live):
+    counts = collections.Counter()
+    with Reader(live) as reader:
+        expected = {connection.topic: connection.msgcount for connection in reader.connections}
+        assert reader.duration > 2e9
+    with AnyReader([live]) as reader:
+        for connection, _, data in reader.messages():
+            message = reader.deserialize(data, connection.msgtype)
+            counts[connection.topic] += 1
+            if connection.topic == "/daq/samples":
+                assert message.header.frame_id == "rig"
+                assert message.width * message.point_step == len(message.data)
+    assert counts == {topic: count for topic, count in expected.items() if count}
+    wanted = {*REPLAYED, "/friction/windows", "/friction/samples", "/friction/mu", "/pad/state", "/contact/wrench"}
+    assert wanted <= set(counts)
+
+
+def test_mcap_reads_the_bag_with_its_summary_and_checksums(live):
+    (file,) = Bag(live).files
+    with file.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        assert reader.get_header().profile == "ros2"
+        summary = reader.get_summary()
+        count = sum(1 for _ in reader.iter_messages())
+    assert summary.statistics.message_count == count
+    assert all(channel.message_encoding == "cdr" for channel in summary.channels.values())
+    assert all(channel.metadata["offered_qos_profiles"] for channel in summary.channels.values())
+    assert all(channel.metadata["topic_type_hash"].startswith("RIHS01_") for channel in summary.channels.values())
+
+
+def test_the_bag_says_what_the_run_was_and_how_it_ended(live):
+    bag = Bag(live)
+    assert bag.ending == "complete"
+    assert bag.custom_data["squeal_rig"]
+    assert bag.custom_data["library.rclpy"]
+    assert bag.topics["/rig/description"].qos[0].durability == "transient_local"
+    assert bag.topics["/daq/samples"].qos[0].reliability == "reliable"
+
+
+@pytest.mark.parametrize("topic", REPLAYED)
+def test_a_replay_recorded_again_has_the_same_bytes(live, replayed, topic):
+    payloads = _payloads(live)[topic]
+    assert payloads
+    assert _payloads(replayed)[topic] == payloads
+
+
+def test_a_fresh_estimator_gives_the_same_windows_on_the_replay(live, replayed):
+    comparison = compared(recorded_windows(live), list(recorded_windows(replayed)))
+    assert comparison.live >= 10
+    assert comparison.same, comparison
+
+
+def test_recorded_friction_samples_are_finite_and_as_many_as_measured(live):
+    samples = _samples(live, "/friction/samples")
+    assert np.all(np.isfinite(samples["mu"]))
+    np.testing.assert_array_equal(samples["seq"], np.arange(len(samples)))
+    assert len(samples) == len(_samples(live, "/daq/samples"))

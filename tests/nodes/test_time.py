@@ -1,0 +1,94 @@
+"""Stamps, sample numbers, pacing and `/clock`."""
+
+import itertools
+import time
+
+import numpy as np
+import pytest
+
+from .processes import parameters
+
+pytest.importorskip("rclpy")
+
+_BLOCK_NS = 10_000_000
+_STARTED = 20.0
+
+
+def _assert_gapless(blocks, rate):
+    """Blocks of 10 ms, stamped t0 + k/rate in whole nanoseconds, numbered without a gap."""
+    t0, size = blocks[0].stamp_ns, rate // 100
+    for number, block in enumerate(blocks):
+        samples = block.samples
+        assert len(samples) == size
+        assert block.stamp_ns == t0 + number * _BLOCK_NS
+        np.testing.assert_array_equal(samples["t"], np.arange(size) / rate)
+        np.testing.assert_array_equal(np.diff(samples["seq"].astype(np.int64)), 1)
+    firsts = [int(block.samples["seq"][0]) for block in blocks]
+    assert [b - a for a, b in itertools.pairwise(firsts)] == [size] * (len(blocks) - 1)
+
+
+def test_stamps_are_t0_plus_k_over_rate_without_drift(bench):
+    bench.rest()
+    begin = int(bench.daq[-1].samples["seq"][-1])
+
+    def found():
+        blocks = [block for block in bench.daq if block.samples["seq"][0] > begin]
+        return blocks if len(blocks) >= 150 else None
+
+    _assert_gapless(bench.observer.wait_for(found, "150 blocks"), 51200)
+    stamps, true_stamps = (
+        {int(block.samples["seq"][0]): block.stamp_ns for block in blocks} for blocks in (bench.daq, bench.truth)
+    )
+    both = stamps.keys() & true_stamps.keys()
+    assert len(both) > 100
+    assert all(stamps[seq] == true_stamps[seq] for seq in both)
+
+
+@pytest.mark.parametrize(("real_time_factor", "rate"), [(0.0, 20000), (2.0, 51200)])
+def test_when_not_in_real_time_the_clock_is_published_and_follows_the_samples(
+    compiled, processes, observer, measured, real_time_factor, rate
+):
+    from rosgraph_msgs.msg import Clock
+
+    from squeal_rig.nodes import qos
+
+    ns = f"/factor_{real_time_factor:.0f}"
+    clock = []
+    subscription = observer.node.create_subscription(
+        Clock, "/clock", lambda m: clock.append(m.clock.sec * 10**9 + m.clock.nanosec), qos.BLOCKS
+    )
+    blocks = observer.follow_samples(f"{ns}/daq/samples", depth=100_000)
+    settings = parameters(real_time_factor=real_time_factor, sample_rate=rate, autostart="false")
+    node = processes.node("simulator", "-r", f"__ns:={ns}", *settings)
+    assert observer.transition("configure", f"{ns}/rig")
+    assert observer.transition("activate", f"{ns}/rig")
+    begin = time.monotonic()
+    observer.wait_for(lambda: len(blocks) >= 200, "200 blocks")
+    pace = 2.0 / (time.monotonic() - begin)
+    # Services are answered however fast the rig samples, and time goes on where it was.
+    assert observer.trigger("reset", f"{ns}/rig")[0]
+    count = len(blocks)
+    observer.wait_for(lambda: len(blocks) >= count + 20, "blocks after the reset")
+    assert node.end()[0] == 0
+    observer.node.destroy_subscription(subscription)
+    assert len(clock) > 100
+    assert all(a < b for a, b in itertools.pairwise(clock))
+    stamps = [block.stamp_ns for block in blocks]
+    assert all(a < b for a, b in itertools.pairwise(stamps))
+    if real_time_factor > 0.0:
+        # As fast as possible outruns the queue of one second, and a slow reader loses blocks then.
+        _assert_gapless(list(blocks), rate)
+        assert pace < 1.2 * real_time_factor
+    assert set(clock) & {stamp + _BLOCK_NS for stamp in stamps}
+    measured(f"real_time_factor {real_time_factor:g}, {rate} Hz: {pace:.1f} sampled seconds per second")
+
+
+def test_a_node_publishes_its_first_block_soon_after_its_start(compiled, processes, observer, measured):
+    blocks = observer.follow_samples("/quick/daq/samples")
+    begin = time.monotonic()
+    node = processes.node("simulator", "-r", "__ns:=/quick")
+    observer.wait_for(lambda: blocks, "the first block", _STARTED)
+    seconds = time.monotonic() - begin
+    measured(f"start of the simulator to its first block: {seconds:.2f} s (asked for: 2 s on a machine at rest)")
+    assert seconds < _STARTED
+    assert node.end()[0] == 0

@@ -1,0 +1,175 @@
+"""Commands that need no ROS: help, check, info, analyse, and what they say to nonsense."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from nodes.made_bag import schema, string_cdr, write_squeal
+
+import squeal_rig
+from squeal_rig.cli import main
+from squeal_rig.model.configuration import config_directory
+from squeal_rig.recording import BagWriter
+
+_COMMANDS = ("run", "demo", "analyse", "check", "info")
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    """A bag of a second of squeal."""
+    folder = tmp_path_factory.mktemp("bags") / "bag"
+    write_squeal(folder)
+    return folder
+
+
+@pytest.fixture
+def in_process(monkeypatch, capsys):
+    """Runs the command line in this process, which saves a second a time; as `command_line` otherwise."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["squeal-rig", *map(str, arguments)])
+        try:
+            code = main()
+        except SystemExit as end:
+            code = end.code
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return run
+
+
+def test_help_pages_work_and_name_every_command(command_line):
+    code, output, errors = command_line("--help")
+    assert (code, errors) == (0, "")
+    assert all(command in output for command in _COMMANDS)
+    for command in _COMMANDS:
+        code, output, errors = command_line(command, "--help")
+        assert (code, errors) == (0, "")
+        assert f"{command} [OPTIONS]" in output
+
+
+def test_parameters_presets_and_plans_that_ship_are_in_order(in_process):
+    config = config_directory()
+    files = [config / "rig.yaml", *sorted(config.glob("presets/*.yaml")), *sorted(config.glob("plans/*.yaml"))]
+    assert len(files) >= 4
+    for file in files:
+        code, output, errors = in_process("check", file)
+        assert (code, errors) == (0, ""), file
+        assert "all in order" in output
+
+
+BAD_FILES = {
+    "unknown_parameter": ("preloda: 50.0\n", "unknown parameter 'preloda': did you mean 'preload'?"),
+    "negative_mass": ("mass: -1.0\n", "mass = -1 kg is out of bounds"),
+    "nan": ("preload: .nan\n", "preload = nan N is not finite"),
+    "broken": ("mass: [1.0\n", "not valid YAML"),
+    "duplicate": ("mass: 1.0\nmass: 2.0\n", "not valid YAML"),
+    "a_word": ("hello\n", "expected a mapping, got 'hello'"),
+    "empty": ("", "expected a mapping, got None"),
+    "negative_friction": ("mu0: -1.0\n", "the friction law gives mu"),
+    "unknown_node": ("/**/engine:\n  ros__parameters:\n    mass: 1.0\n", "no node 'engine'"),
+    "key_that_no_namespace_matches": ("rig:\n  ros__parameters:\n    mass: 1.0\n", "write /**/rig"),
+    "parameter_of_another_node": ("/**/stability:\n  ros__parameters:\n    mass: 1.0\n", "unknown parameter 'mass'"),
+    "empty_plan": ("steps: []\n", "list of steps"),
+    "plan_with_a_constant": ("steps:\n  - set: {mass: 1.0}\n", "step 1: mass is a constant of the machine"),
+    "plan_with_an_unknown_call": ("steps:\n  - call: explode\n", "it must be one of reset, impact, zero"),
+    "plan_that_waits_backwards": ("steps:\n  - wait: -1.0\n", "wait = -1.0 is out of bounds"),
+    "markup": ("'[bold]': 1.0\n", "unknown parameter '[bold]'"),
+}
+
+
+def _assert_one_sentence(code, output, errors, sentence):
+    assert code == 2
+    assert output == ""
+    assert errors.startswith("squeal-rig: ")
+    assert errors.count("\n") == 1
+    assert sentence in errors
+
+
+@pytest.mark.parametrize("name", BAD_FILES)
+def test_check_refuses_a_bad_file_with_one_sentence(in_process, tmp_path, name):
+    text, sentence = BAD_FILES[name]
+    file = tmp_path / f"{name}.yaml"
+    file.write_text(text, encoding="utf-8")
+    _assert_one_sentence(*in_process("check", file), sentence)
+
+
+@pytest.mark.parametrize("command", ["analyse", "info"])
+def test_nonsense_instead_of_a_bag_is_refused_with_one_sentence(in_process, tmp_path, bag, command):
+    (tmp_path / "empty_folder").mkdir()
+    (tmp_path / "empty.mcap").touch()
+    (tmp_path / "text.mcap").write_text("no bag at all\n", encoding="utf-8")
+    whole = next(bag.glob("*.mcap")).read_bytes()
+    (tmp_path / "half.mcap").write_bytes(whole[: len(whole) // 2])
+    broken = tmp_path / "broken_metadata"
+    broken.mkdir()
+    (broken / "metadata.yaml").write_text("rosbag2_bagfile_information: 3\n", encoding="utf-8")
+    nonsense = ("not_there", "empty_folder", "empty.mcap", "text.mcap", "half.mcap", "broken_metadata")
+    for name in nonsense:
+        _assert_one_sentence(*in_process(command, tmp_path / name), name)
+
+
+def test_analyse_of_a_bag_of_something_else_says_what_is_missing(in_process, tmp_path):
+    string = schema("std_msgs/msg/String")
+    with BagWriter(tmp_path / "other") as writer:
+        topic = writer.add_topic("/chatter", string.type_name, [], string)
+        writer.write(topic, string_cdr("hello"), 1, 1)
+    _assert_one_sentence(*in_process("analyse", tmp_path / "other"), "no topic rig/description")
+
+
+def test_info_tells_topics_times_and_how_the_bag_ended(command_line, bag):
+    code, output, errors = command_line("info", bag)
+    assert (code, errors) == (0, "")
+    for word in ("/daq/samples", "sensor_msgs/msg/PointCloud2", "/rig/description", "201", "complete"):
+        assert word in output
+
+
+def test_analyse_writes_a_table_and_a_picture(command_line, bag, tmp_path):
+    picture = tmp_path / "squeal.png"
+    code, output, errors = command_line("analyse", bag, "--picture", picture)
+    assert (code, errors) == (0, "")
+    assert "Operating points" in output
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert not (bag / "report.png").exists()
+
+
+def test_unknown_commands_and_options_are_refused_without_a_traceback(in_process):
+    run = (["run", "--explode"], ["run", "--duration", "-1"], ["run", "--duration", "long"])
+    for arguments in (["explode"], ["check"], *run):
+        code, _, errors = in_process(*arguments)
+        assert code == 2
+        assert "Traceback" not in errors
+        assert errors.strip()
+
+
+def _python(program, *arguments):
+    command = [sys.executable, "-c", program, *arguments]
+    return subprocess.run(command, check=False, capture_output=True, text=True, timeout=60.0)
+
+
+def test_commands_that_need_no_ros_import_none(bag, tmp_path):
+    picture = str(tmp_path / "picture.png")
+    on_bag = ["info", str(bag)], ["analyse", str(bag), "--picture", picture]
+    for command in (["check", str(config_directory() / "rig.yaml")], *on_bag):
+        program = (
+            "import sys\n"
+            "from squeal_rig import cli\n"
+            f"sys.argv = ['squeal-rig', *{command!r}]\n"
+            "try:\n    code = cli.main()\nexcept SystemExit as end:\n    code = end.code\n"
+            "assert not code, code\n"
+            "ros = [name for name in sys.modules if name.split('.')[0] in ('rclpy', 'sensor_msgs', 'rcl_interfaces')]\n"
+            "assert not ros, ros\n"
+        )
+        result = _python(program)
+        assert result.returncode == 0, result.stderr
+
+
+def test_commands_that_need_ros_say_so_where_it_is_missing(tmp_path):
+    # A package named rclpy that cannot be imported stands for none.
+    (tmp_path / "rclpy.py").write_text("raise ModuleNotFoundError(\"No module named 'rclpy'\", name='rclpy')\n")
+    paths = [str(tmp_path), str(Path(squeal_rig.__file__).parents[1])]
+    program = f"import sys; sys.path[:0] = {paths!r}; from squeal_rig.cli import main; sys.exit(main())"
+    for command in (["demo"], ["run"]):
+        result = _python(program, *command)
+        _assert_one_sentence(result.returncode, result.stdout, result.stderr, "ROS 2 is not installed here")

@@ -1,0 +1,144 @@
+"""`squeal-rig run`: nodes, live state, recording, plans, and a clean end however it comes."""
+
+import signal
+import time
+
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+
+from squeal_rig.model.configuration import config_directory
+from squeal_rig.recording import Bag, samples_from_cdr
+
+pytest.importorskip("rclpy")
+
+# Starting six nodes takes some seconds; compiling the model for the first time far longer.
+_PATIENCE = 200.0
+_PLAN = """\
+title: quiet, squeal, reset, hit
+steps:
+  - wait: 0.6
+  - note: into squeal
+    set: {preload: 300, mu0: 0.26}
+    wait: 1.2
+  - call: reset
+  - call: zero
+    wait: 0.2
+  - call: impact
+    wait: 0.4
+"""
+
+
+def _read(bag):
+    """Topic -> structured array of all samples, with seq checked to have no gap from 0."""
+    found = Bag(bag)
+    assert found.ending == "complete"
+    samples = {}
+    for topic in ("/daq/samples", "/truth/samples"):
+        samples[topic] = np.concatenate([samples_from_cdr(m.data).samples for m in found.messages([topic])])
+        np.testing.assert_array_equal(samples[topic]["seq"], np.arange(len(samples[topic])))
+    with AnyReader([bag]) as reader:
+        assert reader.message_count == found.message_count
+        assert sum(1 for _ in reader.messages()) == found.message_count
+    return samples
+
+
+def _wait_for_word(child, word):
+    deadline = time.monotonic() + _PATIENCE
+    while word not in child.output:
+        assert child.running, child.errors
+        assert time.monotonic() < deadline, f"{word!r} was not printed: {child.output}"
+        time.sleep(0.05)
+
+
+@pytest.fixture(scope="module")
+def planned(processes, tmp_path_factory):
+    """A run of a plan to its end: (child, bag)."""
+    folder = tmp_path_factory.mktemp("planned")
+    (folder / "plan.yaml").write_text(_PLAN, encoding="utf-8")
+    child = processes.command("run", "--plan", folder / "plan.yaml", "--bag", folder / "bag", cwd=folder)
+    assert child.wait(_PATIENCE) == 0, child.errors
+    return child, folder / "bag"
+
+
+def test_a_plan_runs_to_its_end_and_leaves_a_whole_bag(planned):
+    child, bag = planned
+    assert child.errors == ""
+    daq = _read(bag)["/daq/samples"]
+    assert len(daq) >= 2.4 * 51200
+    assert daq["preload"][0] == 50.0
+    assert daq["preload"][-1] == 300.0
+    # 250 N at 500 N/s: half a second of slew between both.
+    assert np.count_nonzero((daq["preload"] > 50.0) & (daq["preload"] < 300.0)) == pytest.approx(0.5 * 51200, abs=512)
+
+
+def test_the_steps_and_the_live_state_are_shown(planned):
+    child, bag = planned
+    for words in ("step 1 of 5", "step 2 of 5: into squeal", "step 5 of 5", f"bag: {bag}"):
+        assert words in child.output.replace("\n", "")
+    for words in ("mu set", "k_cr", "margin", "squeal", "recorded", "F = 50 N"):
+        assert words in child.output
+
+
+def test_the_bag_keeps_the_logs_of_the_nodes(planned):
+    _, bag = planned
+    logs = {path.name: path.read_text(encoding="utf-8") for path in (bag / "logs").iterdir()}
+    assert set(logs) >= {f"{name}.log" for name in ("simulator", "recorder", "stability", "friction_estimator")}
+    assert not [name for name, text in logs.items() if "Traceback" in text]
+
+
+def test_the_recorded_run_can_be_analysed_and_shown(planned, command_line):
+    _, bag = planned
+    code, output, errors = command_line("analyse", bag)
+    assert (code, errors) == (0, "")
+    assert (bag / "report.png").read_bytes().startswith(b"\x89PNG")
+    code, output, errors = command_line("info", bag)
+    assert (code, errors) == (0, "")
+    assert "/stability/summary" in output
+
+
+@pytest.mark.parametrize("signals", [(signal.SIGINT,), (signal.SIGINT, signal.SIGINT)])
+def test_ctrl_c_ends_a_run_cleanly_with_a_valid_bag(processes, tmp_path, signals):
+    child = processes.command("run", "--duration", "60", "--bag", tmp_path / "bag", cwd=tmp_path)
+    _wait_for_word(child, "F = 50 N")
+    code, seconds = child.end(*signals)
+    assert code == 0, child.errors
+    assert child.errors == ""
+    assert seconds < 15.0
+    assert len(_read(tmp_path / "bag")["/daq/samples"]) > 0
+
+
+def test_a_run_of_one_second_without_recording_ends_by_itself_and_leaves_nothing(processes, tmp_path):
+    child = processes.command("run", "--duration", "1", "--no-record", cwd=tmp_path)
+    assert child.wait(_PATIENCE) == 0, child.errors
+    assert child.errors == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_that_cannot_be_is_refused_in_a_sentence_before_anything_starts(command_line, tmp_path):
+    bad = tmp_path / "bad.yaml"
+    text = (config_directory() / "rig.yaml").read_text(encoding="utf-8")
+    bad.write_text(text.replace("preload: 50.0", "preload: -50.0"), encoding="utf-8")
+    plan = tmp_path / "plan.yaml"
+    plan.write_text("steps:\n  - set: {mass: 1.0}\n", encoding="utf-8")
+    cases = {
+        "preload = -50 N is out of bounds": ("run", "--config", bad),
+        "mass is a constant of the machine": ("run", "--plan", plan),
+        "cannot read": ("run", "--config", tmp_path / "none.yaml"),
+    }
+    for sentence, arguments in cases.items():
+        code, _, errors = command_line(*arguments, cwd=tmp_path)
+        assert code == 2
+        assert sentence in errors
+        assert errors.count("\n") == 1
+    assert {path.name for path in tmp_path.iterdir()} == {"bad.yaml", "plan.yaml"}
+
+
+def test_a_bag_that_exists_already_is_not_overwritten(planned, command_line, tmp_path):
+    _, bag = planned
+    before = {path: path.stat().st_mtime_ns for path in bag.glob("*.mcap")}
+    code, _, errors = command_line("run", "--duration", "1", "--bag", bag, cwd=tmp_path, timeout=_PATIENCE)
+    assert code == 2
+    assert "Traceback" not in errors
+    assert str(bag) in errors.replace("\n", "")
+    assert {path: path.stat().st_mtime_ns for path in bag.glob("*.mcap")} == before
