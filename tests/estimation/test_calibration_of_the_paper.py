@@ -1,7 +1,9 @@
 """What ships for the paper's inverse problem: the calibrated preset, the floors, the trade-off, the readings."""
 
+import csv
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +18,8 @@ from squeal_rig.estimation.calibration import (
     residuals,
     searched_floor,
 )
-from squeal_rig.estimation.calibration.disagreements import regions, search_region, stiffened
+from squeal_rig.estimation.calibration.disagreements import judge, regions, stiffened
+from squeal_rig.estimation.calibration.evaluation import Evaluator
 from squeal_rig.estimation.calibration.readings import READINGS, fit_readings
 from squeal_rig.estimation.calibration.residuals import rounded, shown_kinds
 from squeal_rig.estimation.calibration.rest_thresholds import critical_stiffness_at_rest, is_threshold_at_rest
@@ -150,13 +153,53 @@ def test_squeal_of_the_mirrored_preset_leaves_small_displacements_and_the_progra
     assert any("small displacements do not hold" in sentence for sentence in warnings)
 
 
-def test_without_damping_no_long_record_lacks_contact_loss_at_the_first_stiffness():
-    region = next(r for r in regions() if r.record == "long" and r.damping == "none")
-    verdicts = search_region(RigParameters.preset("yavuz_sen_2023_calibrated"), PROBLEM.targets, region, 1, 10, 2)
-    squealing = [verdict for verdict in verdicts if not verdict.missing and verdict.violations[0] == 0.0]
-    assert len(squealing) >= 5
-    # Flutter grows by some hundred a second: in 5.79 s it reaches the belt's edge from any start.
-    assert min(verdict.shares[0] for verdict in squealing) > 0.2
+#: The set of docs/evidence/disagreements.csv that comes closest to Table 1: direction slip, speed belt, no damping.
+CLOSEST = RigParameters(
+    mass=74.4786,
+    contact_stiffness=3.802e9,
+    k3=1.79538e9,
+    k4=1.79538e9,
+    mu0=0.0507961,
+    mu_speed=0.00187677,
+    mu_preload=0.000546628,
+    mu_speed_preload=-0.000119915,
+    arm_length_1=0.012441,
+    arm_length_2=0.0226226,
+    pretension_length=0.000121273,
+    friction_direction="slip",
+    regularization_speed=0.485022,
+)
+
+
+def test_a_short_record_with_slip_direction_shows_both_trends_of_table_1_and_keeps_the_thresholds():
+    verdict = judge(CLOSEST, 4.75874e-06, 0.297909, PROBLEM.targets, Evaluator(PROBLEM))
+    assert verdict.missing == 0
+    assert verdict.violations[0] == 0.0
+    assert verdict.shares[0] < 0.005
+    assert (np.diff(verdict.shares) > 0.02).all()
+    # Where nothing separates the frequency is the linear one, to the resolution of a growing record.
+    assert verdict.ratios[0] == pytest.approx(1.0, abs=2e-4)
+    assert (np.diff(verdict.ratios) > 0.0).all()
+    # The paper's excess is 0.6 to 9.4 %: the trend is there, its size is not.
+    assert verdict.ratios.max() < 1.01
+
+
+def test_a_long_record_of_the_same_set_has_contact_loss_from_the_first_stiffness_on():
+    # Contact loss of 5.79 s takes a record at least as long.
+    verdict = judge(CLOSEST, 4.75874e-06, 5.79, PROBLEM.targets, Evaluator(PROBLEM))
+    assert verdict.missing == 0
+    assert verdict.shares[0] > 0.02
+
+
+def test_the_tables_of_evidence_are_whole():
+    folder = Path(__file__).parents[2] / "docs" / "evidence"
+    with (folder / "disagreements.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert {row["region"] for row in rows} == {region.name for region in regions()}
+    assert {row["also_all"] for row in rows} == {"0"}
+    with (folder / "floors.csv").open(encoding="utf-8") as file:
+        floors = {row["measure"]: float(row["floor"]) for row in csv.DictReader(file)}
+    assert floors == pytest.approx({"rms": 0.03594, "mean": 0.02680, "largest": 0.05227})
 
 
 def test_the_paper_s_targets_are_all_read():

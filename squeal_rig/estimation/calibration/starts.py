@@ -13,8 +13,8 @@ from squeal_rig.model.ensemble import simulate_many
 from squeal_rig.model.parameters import RigParameters
 
 #: Starts [static compressions] and records [s] that are tried.
-COMPRESSIONS = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 0.5, 1.0, 2.0, 5.0)
-RECORDS = (5.79, 8.0, 10.0, 15.0)
+COMPRESSIONS = (1e-6, 1e-3, 0.1, 0.5, 1.0, 2.0)
+RECORDS = (5.79, 10.0)
 
 
 def start_rows(

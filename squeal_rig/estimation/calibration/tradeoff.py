@@ -39,7 +39,7 @@ def trade_off(
     weights: Sequence[float] = WEIGHTS,
     masses: Sequence[float] = MASSES,
     seed: int = 1,
-    starts: int = 3,
+    starts: int = 6,
     progress: Callable[[int, int], object] = lambda done, total: None,
 ) -> list[TradeOff]:
     """Best rigs over the weight of the frequencies, at the problem's bound of the mass, then over that bound.
