@@ -5,7 +5,7 @@ PY := .venv/bin/python
 # Given after the command of a target, as in: make test ARGS="-k friction"
 ARGS ?=
 
-.PHONY: help demo reproduce test lint bench bench-bags docs clean
+.PHONY: help demo reproduce test lint bench bench-bags docs evidence clean
 .DEFAULT_GOAL := help
 
 # A ROS installation or another environment around us would mix its libraries with ours.
@@ -20,6 +20,7 @@ help:
 	@echo "make bench      measure speed against peers; writes docs/benchmarks.md"
 	@echo "make bench-bags long series of tests of bags; recording, replay, export at full load (half an hour)"
 	@echo "make docs       write docs/parameters.md anew from the code"
+	@echo "make evidence   search anew for docs/evidence/*.csv, half an hour"
 	@echo "make clean      remove .venv, caches and build output; recordings stay"
 	@echo "Another Python: make PYTHON=python3.12 ..."
 
@@ -47,6 +48,9 @@ bench-bags: .venv/.ready
 
 docs: .venv/.ready
 	$(PY) -m squeal_rig.experiments.parameter_table > docs/parameters.md
+
+evidence: .venv/.ready
+	$(PY) -m squeal_rig.report.calibration_evidence docs/evidence $(ARGS)
 
 clean:
 	rm -rf .venv build install log dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .import_linter_cache

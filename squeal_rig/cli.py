@@ -108,7 +108,9 @@ def reproduce(
 
 @app.command()
 def check(
-    file: Annotated[Path, typer.Argument(help="A parameter file, a preset or a plan.", metavar="FILE")],
+    file: Annotated[
+        Path, typer.Argument(help="A parameter file, a preset, a plan, targets or a calibration.", metavar="FILE")
+    ],
 ) -> None:
     """Check a YAML file of ours; exit code 2 and one sentence when something is wrong with it."""
     from squeal_rig.experiments.checking import check_file
@@ -123,6 +125,24 @@ OutArgument = Annotated[Path, typer.Argument(help="New folder for the bag that i
 TopicsOption = Annotated[
     list[str] | None, typer.Option("--topic", help="Topic or pattern; may be given several times.")
 ]
+
+
+@app.command()
+def calibrate(
+    targets: Annotated[Path, typer.Argument(help="A calibration, or a file of targets.", metavar="TARGETS")],
+    free: Annotated[
+        str | None,
+        typer.Option(help="Free parameters, by commas: name or name=lower:upper."),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the search.", min=0)] = 1,
+    starts: Annotated[int, typer.Option(help="Independent searches.", min=1)] = 8,
+    generations: Annotated[int, typer.Option(help="At most, of each search.", min=1)] = 600,
+    out: Annotated[Path, typer.Option(help="Preset to write.")] = Path("calibrated.yaml"),
+) -> None:
+    """Find a rig that meets thresholds, frequencies, contact loss or jumps; leaves a preset with its residuals."""
+    from squeal_rig.report.calibration import Effort, run_calibration
+
+    run_calibration(targets, free.split(",") if free else [], Effort(seed, starts, generations), out, console)
 
 
 @app.command()

@@ -1,4 +1,4 @@
-"""Checks any YAML file of ours: node parameters, a preset, a plan."""
+"""Checks any YAML file of ours: node parameters, a preset, a plan, targets, a calibration."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from squeal_rig.errors import ConfigurationError, ParameterError
+from squeal_rig.estimation.calibration.problem import load_calibration
+from squeal_rig.estimation.calibration.targets import load_targets, looks_like_targets
 from squeal_rig.estimation.settings import FrictionSettings, SquealSettings
 from squeal_rig.experiments.plan import load_plan
 from squeal_rig.instruments.settings import PresetChoice, RigSettings
@@ -41,6 +43,11 @@ def check_file(path: Path | str) -> str:
     if "steps" in content:
         plan = load_plan(path)
         return f"a plan of {len(plan.steps)} steps and {plan.duration:g} s"
+    if looks_like_targets(content):
+        return f"{len(load_targets(path).items)} targets of a calibration"
+    if "free" in content or "targets" in content:
+        problem = load_calibration(path)
+        return f"a calibration of {len(problem.free)} free parameters against {len(problem.targets.items)} targets"
     if any(isinstance(value, dict) for value in content.values()):
         return "parameters of " + ", ".join(_check_node(path, key, value) for key, value in content.items())
     p = RigParameters.from_yaml(path)

@@ -197,7 +197,8 @@ def test_the_preset_as_printed_differs_in_its_mirrored_right_arm_alone():
 
 
 def test_preset_names_are_those_that_can_be_loaded():
-    assert preset_names() == ["yavuz_sen_2023", "yavuz_sen_2023_as_printed"]
+    variants = ("", "_as_printed", "_calibrated", "_mirrored")
+    assert preset_names() == [f"yavuz_sen_2023{variant}" for variant in variants]
     with pytest.raises(ConfigurationError, match=r"^no preset '\.\./presets/yavuz_sen_2023': " + PRESETS):
         RigParameters.preset("../presets/yavuz_sen_2023")
 
