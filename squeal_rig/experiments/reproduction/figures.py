@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from squeal_rig.estimation.calibration.tradeoff import TradeOff
 from squeal_rig.estimation.spectra import REFERENCE
 from squeal_rig.experiments.reproduction.friction_law import PRELOADS, FrictionExperiment
+from squeal_rig.experiments.reproduction.inverse import InverseResults
 from squeal_rig.experiments.reproduction.linear import STIFFNESS_LINES, Locus, ThresholdRow, Values
 from squeal_rig.experiments.reproduction.nonlinear import ForceCase, PeakCurve, SpectrumCase
 from squeal_rig.report.paper_style import Picture, picture, style
@@ -235,3 +237,29 @@ def _draw_peaks(axis: Any, curve: PeakCurve, number: int) -> None:
     )
     if curve.threshold is not None and curve.threshold <= curve.preloads[-1]:
         axis.axvline(curve.threshold, color=look["color"], ls=look["ls"], lw=0.8)
+
+
+def trade_off_figure(inverse: InverseResults) -> Picture:
+    """Mean error of the thresholds over the mean error of the frequencies, and over mass."""
+    along_weight = [point for point in inverse.curve if point.largest_mass == inverse.curve[0].largest_mass]
+    along_mass = sorted(inverse.curve, key=lambda point: point.rig.mass)
+
+    def draw(axes: Any) -> None:
+        left, right = axes[0]
+        by_frequency = sorted(along_weight, key=lambda point: point.frequency_mean)
+        _draw_errors(left, [100.0 * p.frequency_mean for p in by_frequency], by_frequency, inverse, 0)
+        _draw_errors(right, [p.rig.mass for p in along_mass], along_mass, inverse, 1)
+        left.set(xlabel="linear frequencies, mean error [%]", title="(a)")
+        right.set(xlabel="mass [kg]", title="(b)", xscale="log")
+
+    caption = "Beyond the paper: what better thresholds cost in Table 1's frequencies (a) and in mass (b)."
+    return picture("trade_off", caption, draw, columns=2)
+
+
+def _draw_errors(
+    axis: Any, at: Sequence[float], points: Sequence[TradeOff], inverse: InverseResults, number: int
+) -> None:
+    axis.plot(at, [100.0 * point.threshold_mean for point in points], ms=4, **style(number, markers=True))
+    axis.axhline(100.0 * inverse.floors.mean, color="0.5", ls=":", label="floor")
+    axis.set(ylabel="thresholds, mean error [%]", ylim=(0.0, None))
+    axis.legend()

@@ -12,6 +12,7 @@ import numpy as np
 
 from squeal_rig.experiments.reproduction import figures, linear, nonlinear, statements
 from squeal_rig.experiments.reproduction.friction_law import FrictionExperiment, measure_friction
+from squeal_rig.experiments.reproduction.inverse import InverseResults, solve_inverse
 from squeal_rig.experiments.reproduction.linear import Locus, ThresholdRow, Values
 from squeal_rig.experiments.reproduction.nonlinear import ForceCase, PeakCurve, SpectrumCase, TableRow
 from squeal_rig.experiments.reproduction.paper import PaperNumbers, paper_numbers
@@ -48,6 +49,7 @@ class Results:
     undamped: list[TableRow]
     small: list[PeakCurve]
     impact: list[PeakCurve]
+    inverse: InverseResults
 
     def statements(self) -> list[Statement]:
         """The eight statements of the conclusions, judged."""
@@ -88,14 +90,16 @@ def compute(preset: str, progress: Progress) -> Results:
     undamped = nonlinear.table_rows(p, paper)
     small = nonlinear.peak_curves(damped, paper, nonlinear.SMALL_START, progress)
     impact = nonlinear.peak_curves(damped, paper, nonlinear.IMPACT_START, progress)
+    progress("inverse problem: floors and trade-off")
+    solved = solve_inverse()
     return Results(
         preset, paper, friction, loci, linear.threshold_rows(p, paper), preloads, curves, speeds, critical,
-        stiffnesses, growth, spectra, forces, table, undamped, small, impact,
+        stiffnesses, growth, spectra, forces, table, undamped, small, impact, solved,
     )  # fmt: skip
 
 
 #: Stages that `compute` tells, for a progress bar.
-STAGES = 6 + 2 * 6
+STAGES = 7 + 2 * 6
 
 
 def write_results(results: Results, folder: Path) -> Path:
@@ -142,6 +146,14 @@ def _sections(r: Results) -> Iterable[Section]:
         "Peak displacement (Fig. 12)", tables=[_jump_table(r)], pictures=[figures.peak_figure(r.small, r.impact)]
     )
     yield Section("Squeal frequency and contact loss (Table 1)", tables=[_frequency_table(r)])
+    floors = (
+        "However the unpublished parameters are set, k + D/k is bilinear in preload and speed in a first-order reading,"
+        f" and the thresholds' errors cannot be smaller than {r.inverse.floors.largest:.1%} (largest),"
+        f" {r.inverse.floors.rms:.1%} (RMS), {r.inverse.floors.mean:.1%} (mean), each for itself. Coming closer to them"
+        " costs frequency or mass."
+    )
+    trade = figures.trade_off_figure(r.inverse)
+    yield Section("What any choice of parameters can reach", [floors], [_trade_off_table(r)], [trade])
 
 
 def verdict_table(r: Results) -> DataTable:
@@ -244,3 +256,21 @@ def _frequency_table(r: Results) -> DataTable:
         "error paper", "error rig", "contact loss paper [s]", "share off belt, rig", "share off belt, rig, undamped",
     )  # fmt: skip
     return DataTable("table_1", "Table 1 at F = 300 N, V = 1 m/s", columns, rows)
+
+
+def _trade_off_table(r: Results) -> DataTable:
+    rows = [
+        [p.weight, p.largest_mass, p.rig.mass, p.threshold_mean, p.threshold_largest, p.frequency_mean, *p.frequencies]
+        for p in r.inverse.curve
+    ]
+    columns = (
+        "weight of frequencies",
+        "mass at most [kg]",
+        "mass [kg]",
+        "thresholds, mean error",
+        "thresholds, largest error",
+        "linear frequencies, mean error",
+        "lowest [Hz]",
+        "highest [Hz]",
+    )
+    return DataTable("trade_off", "Best rigs over the weight of Table 1's frequencies, then over mass", columns, rows)
