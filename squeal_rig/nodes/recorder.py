@@ -115,7 +115,7 @@ class RecorderNode(Node):
         if not self._session.recording:
             raise RecordingError("nothing is being recorded")
         directory = self._session.directory
-        self._end("completed: stopped on request")
+        self._end("complete: stopped on request")
         return f"closed {directory}"
 
     def _serves(self, action: Callable[[], str]) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:
@@ -162,7 +162,7 @@ class RecorderNode(Node):
     def close(self) -> None:
         """Close the bag; it says whether the node was ended or fell."""
         error = sys.exc_info()[1]
-        self._end("completed" if error is None else f"aborted: {type(error).__name__}: {error}")
+        self._end("complete" if error is None else f"aborted: {type(error).__name__}: {error}")
 
 
 def default_directory() -> Path:

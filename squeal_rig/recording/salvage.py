@@ -35,6 +35,7 @@ _LOOSE = frozenset(
 )
 _ENDING = 9 + 20 + len(MAGIC)
 _RUN_BYTES = 1 << 20
+_FREED_AT_ONCE = 1 << 25
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,7 @@ class Salvage:
     def pieces(self) -> Iterator[Salvaged | Damaged]:
         """Yield every intact piece and every damaged chunk in the file's order."""
         with self._mapped() as data:
-            at = len(MAGIC)
+            at = freed = len(MAGIC)
             yield from self._loose(data, at)
             while (match := _CHUNK.search(data, at)) is not None:
                 offset = match.start()
@@ -104,6 +105,9 @@ class Salvage:
                 else:
                     at = offset + 1  # its length may be what is damaged
                 yield from self._loose(data, end)
+                if at - freed >= _FREED_AT_ONCE:  # what was read need not stay in memory
+                    data.madvise(mmap.MADV_DONTNEED, 0, at // mmap.PAGESIZE * mmap.PAGESIZE)
+                    freed = at
 
     def _mapped(self) -> mmap.mmap:
         try:

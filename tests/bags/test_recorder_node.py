@@ -78,7 +78,7 @@ def test_parameters_of_every_node_and_each_change_are_in_the_bag(children, clien
         (node, values) for node, _, values in parameter_records(bag, "parameter_change")
     ]
     assert bag.topics["/parameter_events"].message_count >= 1
-    assert bag.ending == "completed"
+    assert bag.ending == "complete"
     assert {"squeal_rig", "os", "cpu_count", "started_utc", "finished_utc"} <= set(bag.custom_data)
 
 
@@ -95,7 +95,7 @@ def test_stop_start_and_split_leave_sound_bags(children, client, tmp_path, load)
     assert ended(recorder) == 0
     first, second = Bag(tmp_path / "run"), Bag(tmp_path / "run_2")
     assert len(first.files) == 2
-    assert first.ending == "completed: stopped on request"
+    assert first.ending == "complete: stopped on request"
     for bag in (first, second):
         assert verify(bag.path).findings == []
         assert bag.topics["/rig/description"].message_count == 1, "the latched value is in each"
