@@ -1,7 +1,8 @@
-"""Measure everything and write docs/benchmarks.md with its plots."""
+"""Measure everything, or one part, and write docs/benchmarks.md with its plots."""
 
 from __future__ import annotations
 
+import argparse
 import os
 import platform
 from importlib.metadata import PackageNotFoundError, version
@@ -13,6 +14,9 @@ from benchmarks.throughput import ManyRuns, many_runs, map_times, propagation_sp
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 ASKED = 1e-6
+PARTS = ("engine", "nodes")
+#: The section of the live node comes last; each part is written anew without the other.
+NODES = "## The live node\n"
 
 
 def machine() -> str:
@@ -121,9 +125,8 @@ def draw(points: list[Point], runs: list[ManyRuns]) -> None:
     figure.savefig(DOCS / "simulate_many.png", dpi=150, metadata={"Software": None})
 
 
-def main() -> None:
-    """Measure and write."""
-    DOCS.mkdir(exist_ok=True)
+def engine() -> str:
+    """Measure the engine against its peers; all of the page above the live node."""
     speed, limit = trajectory_speed(), propagation_speed()
     points, notes = all_points(expected_states())
     cores = os.cpu_count() or 1
@@ -133,7 +136,7 @@ def main() -> None:
     maps = map_times()
     draw(points, [alone, *runs])
     map_text = ", ".join(f"{seconds:.1f} s ({name} damping)" for name, seconds in maps.items())
-    text = f"""# Benchmarks
+    return f"""# Benchmarks
 
 Written by `make bench`; every ratio is of figures measured in one run. {machine()}
 Times are the best of some repeats, since other work on the machine only adds.
@@ -165,7 +168,26 @@ Points spread evenly over the paper's range, c = 20 N s/m, started 3 static comp
 
 10 million points with k_cr, upper bound and margin: {map_text}.
 """
-    (DOCS / "benchmarks.md").write_text(text, encoding="utf-8")
+
+
+def main() -> None:
+    """Measure and write."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser.add_argument("part", nargs="?", choices=PARTS, help="measure this alone")
+    parser.add_argument("--minutes", type=float, default=1.0, help="length of the run of the live node (default: 1)")
+    arguments = parser.parse_args()
+    if not 0.1 <= arguments.minutes <= 1440.0:
+        parser.error(f"--minutes = {arguments.minutes:g} is out of bounds: it must be 0.1 to 1440 min")
+    DOCS.mkdir(exist_ok=True)
+    page = DOCS / "benchmarks.md"
+    above, _, below = page.read_text(encoding="utf-8").partition(NODES) if page.is_file() else ("", "", "")
+    if arguments.part != "engine":
+        from benchmarks.nodes import section  # the engine's figures need no ROS
+
+        below = f"\n{section(arguments.minutes)}"
+    if arguments.part != "nodes":
+        above = engine()
+    page.write_text(f"{above.rstrip()}\n\n{NODES}{below}" if below else above, encoding="utf-8")
 
 
 if __name__ == "__main__":

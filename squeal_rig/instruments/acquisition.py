@@ -65,10 +65,11 @@ class Acquisition:
         for channel, offset in self.tare.items():
             reading.daq[channel] -= offset
         stamp = self._start + self._since_start * _NS // rate
+        numbers = np.arange(n, dtype=np.uint32)
+        t, seq = numbers / rate, numbers + np.uint32(self.samples % SEQ_MODULUS)  # uint32 wraps by itself
         for samples in (reading.daq, reading.truth):
             if samples is not None:
-                samples["t"] = np.arange(n) / rate
-                samples["seq"] = np.arange(self.samples, self.samples + n) % SEQ_MODULUS
+                samples["t"], samples["seq"] = t, seq
         self._last = reading.daq
         self.samples += n
         self._since_start += n
@@ -104,7 +105,7 @@ def slewed(in_force: RigParameters, set_point: RigParameters, settings: RigSetti
 
     All other parameters take their set points at once.
     """
-    if in_force == set_point:
+    if in_force is set_point:
         return in_force
     rates = {
         "preload": settings.preload_slew_rate,
@@ -116,7 +117,8 @@ def slewed(in_force: RigParameters, set_point: RigParameters, settings: RigSetti
     for name, rate in rates.items():
         now, goal = getattr(in_force, name), getattr(set_point, name)
         moved[name] = goal if abs(goal - now) <= rate * dt else now + math.copysign(rate * dt, goal - now)
-    return dataclasses.replace(set_point, **moved)
+    arrived = all(getattr(set_point, name) == value for name, value in moved.items())
+    return set_point if arrived else dataclasses.replace(set_point, **moved)
 
 
 def change_refusal(name: str) -> str | None:

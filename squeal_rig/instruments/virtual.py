@@ -6,7 +6,7 @@ import numpy as np
 
 from squeal_rig.errors import DriverError
 from squeal_rig.instruments.channels import DAQ_RECORD, TRUTH_RECORD
-from squeal_rig.instruments.driver import Reading
+from squeal_rig.instruments.driver import Reading, Samples
 from squeal_rig.instruments.settings import RigSettings
 from squeal_rig.model import rk4
 from squeal_rig.model.dynamics import K1, K2, Vector, arm_extensions, friction_ratio, pack
@@ -28,7 +28,7 @@ class VirtualRig:
         self._settings = settings
         self._motion = Motion(parameters, settings.sample_rate)
         self._states = np.empty((settings.block_size, rk4.COLUMNS))
-        self._derived = np.empty((settings.block_size, 3))
+        self._take(parameters)
         # Loading or compiling takes seconds the first time: here, not in the first timed block.
         self.read(parameters)
         self.reset()
@@ -50,41 +50,45 @@ class VirtualRig:
     def read(self, in_force: RigParameters) -> Reading:
         """Integrate one block and read every channel."""
         motion = self._opened()
-        if in_force != motion.parameters:
-            motion.set_parameters(in_force)
+        if in_force is not self._in_force:
+            self._take(in_force)
         motion.advance(self._states)
-        derive_channels(self._states, pack(in_force), self._derived)
-        return Reading(self._daq(in_force), self._truth(), tuple(validity_warnings(in_force, self._states)))
+        daq, truth = np.zeros(len(self._states), DAQ_RECORD), np.zeros(len(self._states), TRUTH_RECORD)
+        fill_channels(self._states, self._packed, self._instruments, daq, truth)
+        return Reading(daq, truth, tuple(validity_warnings(in_force, self._states)))
+
+    def _take(self, p: RigParameters) -> None:
+        motion = self._opened()
+        if p != motion.parameters:
+            motion.set_parameters(p)
+        self._in_force, self._packed = p, pack(p)
+        self._instruments = (p.k3, p.k4, self._settings.drum_radius, p.belt_speed, p.preload)
 
     def _opened(self) -> Motion:
         if self._motion is None:
             raise DriverError("the driver is not open: open it before use")
         return self._motion
 
-    def _daq(self, p: RigParameters) -> np.ndarray:
-        states, daq = self._states, np.zeros(len(self._states), DAQ_RECORD)
-        daq["x"], daq["y"] = states[:, rk4.X], states[:, rk4.Y]
-        daq["arm_left"], daq["arm_right"] = self._derived[:, 0], self._derived[:, 1]
-        # Clips lie along the belt on either side: moving along it stretches the left one and presses the right one.
-        daq["clip_left"], daq["clip_right"] = -p.k3 * states[:, rk4.X], p.k4 * states[:, rk4.X]
-        daq["motor_torque"] = states[:, rk4.TANGENTIAL] * self._settings.drum_radius
-        daq["belt_speed"], daq["preload"] = p.belt_speed, p.preload
-        return daq
-
-    def _truth(self) -> np.ndarray:
-        states, truth = self._states, np.zeros(len(self._states), TRUTH_RECORD)
-        for name, column in (("x", rk4.X), ("y", rk4.Y), ("vx", rk4.VX), ("vy", rk4.VY)):
-            truth[name] = states[:, column]
-        truth["normal_force"], truth["tangential_force"] = states[:, rk4.NORMAL], states[:, rk4.TANGENTIAL]
-        truth["mu"] = self._derived[:, 2]
-        return truth
-
 
 @kernel
-def derive_channels(states: Vector, q: Vector, out: Vector) -> None:
-    """Fill `out` (n, 3) with both arm forces k_i (L_i - l_i) [N] and the friction ratio at each state (n, 6)."""
+def fill_channels(
+    states: Vector, q: Vector, instruments: tuple[float, float, float, float, float], daq: Samples, truth: Samples
+) -> None:
+    """Fill both records (n,), but for `t` and `seq`, from states (n, 6): in one pass, since memory is what costs.
+
+    `instruments` are k3, k4 [N/m], drum radius [m], belt speed [m/s] and preload [N].
+    """
+    k3, k4, radius, speed, preload = instruments
     for i in range(len(states)):
-        e1, e2 = arm_extensions(states[i, 0], states[i, 1], q)
-        out[i, 0] = -q[K1] * e1
-        out[i, 1] = -q[K2] * e2
-        out[i, 2] = friction_ratio(states[i, 2], q)
+        x, y, vx = states[i, rk4.X], states[i, rk4.Y], states[i, rk4.VX]
+        e1, e2 = arm_extensions(x, y, q)
+        seen, true = daq[i], truth[i]
+        seen.x, seen.y = x, y
+        seen.arm_left, seen.arm_right = -q[K1] * e1, -q[K2] * e2
+        # Clips lie along the belt on either side: moving along it stretches the left one and presses the right one.
+        seen.clip_left, seen.clip_right = -k3 * x, k4 * x
+        seen.motor_torque = states[i, rk4.TANGENTIAL] * radius
+        seen.belt_speed, seen.preload = speed, preload
+        true.x, true.y, true.vx, true.vy = x, y, vx, states[i, rk4.VY]
+        true.normal_force, true.tangential_force = states[i, rk4.NORMAL], states[i, rk4.TANGENTIAL]
+        true.mu = friction_ratio(vx, q)

@@ -32,6 +32,11 @@ class NodeProcess:
                 start_new_session=True,
             )
 
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+        return self._process.pid
+
     def check(self) -> None:
         """Raise `ExperimentError` with the node's own last words if it has ended."""
         code = self._process.poll()
