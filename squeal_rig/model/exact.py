@@ -127,7 +127,7 @@ def next_piece(state: Vector, q: Vector, flow: Vector, rest: float, w: Vector) -
     if slips or rest > flow[STEP] or not max(abs(state[0]), abs(state[1])) <= flow[NEAR]:
         return _far_piece(state, q, flow, rest, w)
     gap = state[1] - q[L_PRE]
-    contact = gap < 0.0 or gap == 0.0 and (state[3] < 0.0 or state[3] == 0.0 and is_in_contact(state, q))
+    contact = gap < 0.0 or (gap == 0.0 and (state[3] < 0.0 or (state[3] == 0.0 and is_in_contact(state, q))))
     size, slope, end = expand_near(state, q, flow, contact, rest, w)
     share, found = first_zero_near(w, gap, size, slope, end)
     return share, NEAR_ORDER, 1 if found else 0

@@ -232,4 +232,5 @@ def _tube(a: Vector, b: Vector, q: Vector, h: float, near: float) -> float:
     own = 0.125 * h * h * k + h * c
     if not own < 1.0:
         return math.inf
-    return 0.125 * h * h * 1.05 * ((k + 2.0 * c / h) * near + rest) / (1.0 - own)
+    bound: float = 0.125 * h * h * 1.05 * ((k + 2.0 * c / h) * near + rest) / (1.0 - own)
+    return bound
