@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from squeal_rig.errors import ParameterError
 from squeal_rig.estimation.settings import SquealSettings
 from squeal_rig.estimation.spectra import amplitude_spectrum, band_rms, level_db, peak_frequency
 
@@ -32,9 +33,17 @@ class SquealDetector:
 
     Windows follow one another by sample count; a gap in the samples starts a window anew, since a spectrum over a gap
     would be none of the rig's.
+
+    Raises:
+        ParameterError: the band reaches above half the sample rate.
     """
 
     def __init__(self, sample_rate: int, settings: SquealSettings) -> None:
+        if settings.band_high > 0.5 * sample_rate:
+            raise ParameterError(
+                f"band_high = {settings.band_high:g} Hz is above half the sample rate, {0.5 * sample_rate:g} Hz:"
+                " nothing can be seen there"
+            )
         self._rate = sample_rate
         self._settings = settings
         self._signal = np.empty(max(2, round(settings.window * sample_rate)))

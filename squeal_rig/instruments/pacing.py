@@ -39,7 +39,8 @@ class Pacer:
             return 1, False
         # A timer may fire some nanoseconds early by its own clock's rounding.
         waiting = int((now - self._start) / self._period + 1e-6) - self._made
-        overrun = waiting * self._period > OVERRUN
+        # The block due now is not behind, however long blocks take.
+        overrun = (waiting - 1) * self._period > OVERRUN
         if overrun:
             self.overruns += 1
             self.skipped_seconds += waiting * self._period

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from squeal_rig.model.dynamics import Vector, jacobian
-from squeal_rig.model.equilibrium import equilibrium, linear_equilibrium, normal_force, stiffness_matrix
 from squeal_rig.model.friction import force_ratio_slope
 from squeal_rig.model.parameters import RigParameters
+from squeal_rig.model.statics import equilibrium, linear_equilibrium, normal_force, stiffness_matrix
 
 Eigenvalues = NDArray[np.complex128]
 

@@ -67,6 +67,7 @@ DRIFT, STEP_MATRIX = 0, 4  # int e^{As} b ds (4,) and e^{Ah} (4, 4), row by row
 NODES, NODE_SIZE = 20, 10  # at each node: drift of (x, y), then the rows x and y of e^{As}
 WEIGHTS, WEIGHT_SIZE = 50, 8  # of each node: (4, 2), row by row
 BOUND = 74  # |y''| in the step is at most BOUND . (1, |x|, |y|, |vx|, |vy|)
+TUBE = 79  # how far y can be from its chord within a step whose ends are in the near range
 # What both modes share.
 GX, GY = 160, 167  # coefficients of xx, xy, yy, xxx, xxy, xyy, yyy in g
 NEAR, STEP, K_AA, K_AB, K_BB = 174, 175, 176, 177, 178  # stiffness of arms and clips per mass
@@ -176,6 +177,7 @@ def _mode(q: Vector, h: float, contact: bool, flow: Vector) -> None:
             flow[base + 2 * i] = shares[n] * h * part[i, 2]
             flow[base + 2 * i + 1] = shares[n] * h * part[i, 3]
     _acceleration_bound(q, a, b, h, flow[o + BOUND : o + BOUND + 5], flow[NEAR])
+    flow[o + TUBE] = _tube(a, b, q, h, flow[NEAR])
 
 
 @kernel
@@ -215,3 +217,20 @@ def _acceleration_bound(q: Vector, a: Vector, b: Vector, h: float, out: Vector, 
             out[1 + j] += abs(a[3, k]) * whole[k, j]
     for j in range(5):
         out[j] *= 1.05
+
+
+@kernel
+def _tube(a: Vector, b: Vector, q: Vector, h: float, near: float) -> float:
+    """h^2/8 max|r''| of a step with both ends within `near`.
+
+    With p = max|r''|: |r| <= near + h^2/8 p and |v| <= 2 near/h + h p in the step, so p <= k |r| + c |v| + |b| + |g|
+    is an upper bound of p in terms of p itself; rate times step <= 0.25 keeps its factor below 0.26.
+    """
+    k = max(abs(a[2, 0]) + abs(a[2, 1]), abs(a[3, 0]) + abs(a[3, 1]))
+    c = max(abs(a[2, 2]), abs(a[3, 3]))
+    rest = max(abs(b[2]), abs(b[3])) + 2.0 * (q[K1] / q[L1] + q[K2] / q[L2]) / q[MASS] * near * near
+    own = 0.125 * h * h * k + h * c
+    if not own < 1.0:
+        return math.inf
+    bound: float = 0.125 * h * h * 1.05 * ((k + 2.0 * c / h) * near + rest) / (1.0 - own)
+    return bound

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 from squeal_rig.errors import ParameterError
 from squeal_rig.model import exact, propagator, rk4
 from squeal_rig.model.dynamics import Vector, pack
-from squeal_rig.model.equilibrium import equilibrium
 from squeal_rig.model.parameters import RigParameters
+from squeal_rig.model.statics import equilibrium
 
 ENGINES = ("exact", "rk4")
 DEFAULT_ENGINE = "exact"

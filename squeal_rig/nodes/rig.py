@@ -133,7 +133,7 @@ class RigNode(LifecycleNode):
         count, overrun = self._pacer.due(time.monotonic())
         if overrun:
             self.get_logger().warning("fell behind real time: time skipped, t0 set anew")
-            acquisition.start(self.get_clock().now().nanoseconds)
+            acquisition.start(self._outputs.restart_stamp(self.get_clock().now().nanoseconds))
         try:
             for _ in range(count):
                 block = acquisition.next_block()

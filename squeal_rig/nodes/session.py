@@ -18,6 +18,7 @@ from rich.console import Console
 from squeal_rig.errors import ExperimentError
 from squeal_rig.experiments.engine import StepRecord, run_plan
 from squeal_rig.experiments.plan import Plan, Step
+from squeal_rig.model.configuration import load_yaml
 from squeal_rig.nodes.console import StateDisplay
 from squeal_rig.nodes.live import LiveGraph
 from squeal_rig.nodes.processes import NodeProcess, stop_all
@@ -115,17 +116,27 @@ def run_session(options: SessionOptions, console: Console, watch: SignalWatch) -
 def _start(options: SessionOptions, nodes: list[NodeProcess], logs: Path, graph: LiveGraph) -> None:
     """Start every node; the rig begins to sample once everybody listens, so that no first block is lost."""
     files = ["--params-file", str(options.config)]
+    if _has_own_clock(options.config):
+        files = [*files, "-p", "use_sim_time:=true"]
     for name in CONSUMERS:
         nodes.append(NodeProcess(name, logs, files))
     if options.bag is not None:
         nodes.append(NodeProcess("recorder", logs, [*files, "-p", f"directory:={options.bag}"]))
-    nodes.append(NodeProcess("simulator", logs, [*files, "-p", "autostart:=false"]))
+    # The rig itself makes the clock, so it does not follow it.
+    nodes.append(NodeProcess("simulator", logs, [*files, "-p", "use_sim_time:=false", "-p", "autostart:=false"]))
     listeners = len(nodes)  # all but the simulator, and ourselves
     graph.transition(Transition.TRANSITION_CONFIGURE, _START_TIMEOUT)
     graph.wait_for(lambda: graph.listeners(_SAMPLE_TOPIC) >= listeners, "all nodes listening", _START_TIMEOUT)
     graph.spin(_MATCHING)
     graph.transition(Transition.TRANSITION_ACTIVATE, _START_TIMEOUT)
     graph.wait_for(lambda: graph.sampled_time() > 0.0, "the first block of samples", _START_TIMEOUT)
+
+
+def _has_own_clock(config: Path) -> bool:
+    """Whether the rig of a parameter file publishes `/clock`: where it does not run in real time."""
+    content = load_yaml(config)
+    rigs = [body for key, body in content.items() if str(key).split("/")[-1] == "rig"]
+    return any((body.get("ros__parameters") or {}).get("real_time_factor", 1.0) != 1.0 for body in rigs)
 
 
 def _follow(options: SessionOptions, graph: LiveGraph, display: StateDisplay, result: SessionResult) -> None:

@@ -220,7 +220,7 @@ class BagWriter:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
-        self.close("completed" if error is None else f"aborted: {type(error).__name__}: {error}")
+        self.close("complete" if error is None else f"aborted: {type(error).__name__}: {error}")
 
     def _make_directory(self) -> None:
         try:

@@ -80,6 +80,11 @@ def test_a_gap_starts_the_window_anew():
     assert len(states) == 1
 
 
+def test_a_band_above_half_the_sample_rate_is_refused():
+    with pytest.raises(ParameterError, match="band_high = 5000 Hz is above half the sample rate, 4000 Hz"):
+        SquealDetector(8000, SquealSettings())
+
+
 def test_off_level_above_on_level_is_refused():
     with pytest.raises(ParameterError, match="off_level = 0 dB"):
         SquealSettings(off_level=0.0, on_level=-5.0)

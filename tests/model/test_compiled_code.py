@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-import squeal_rig
+import squeal_rig.model
 from squeal_rig.model.trajectory import ENGINES
 
 ROOT = Path(squeal_rig.__file__).parents[1]
@@ -90,3 +90,16 @@ def test_code_compiled_from_an_older_right_hand_side_is_not_used(tmp_path):
     assert before == pytest.approx(right_before, rel=1e-4)
     assert right_after == pytest.approx(right_before + 1000.0, rel=1e-9)
     assert after == pytest.approx(right_after, rel=1e-4)
+
+
+def test_no_public_name_of_the_model_is_also_a_module():
+    """Names are imported when asked for; a module of the same name would hide them once it is loaded."""
+    modules = {path.stem for path in (ROOT / "squeal_rig" / "model").glob("*.py")}
+    assert not modules & set(squeal_rig.model.__all__)
+
+
+def test_parameters_and_presets_need_no_compiler():
+    loaded = python(
+        "import sys; from squeal_rig.model import RigParameters; RigParameters(); print('numba' in sys.modules)"
+    )
+    assert loaded == ["False"]

@@ -26,7 +26,7 @@ def test_a_cut_holds_its_time_and_the_latched_values_from_before(bag, tmp_path):
     piece = Bag(tmp_path / "piece")
     assert piece.topics["/rig/description"].qos == Bag(directory).topics["/rig/description"].qos
     assert piece.custom_data["seed"] == "7"
-    assert piece.ending == "cut from a bag that ended: completed"
+    assert piece.ending == "cut from a bag that ended: complete"
     assert verify(tmp_path / "piece").sound
 
 

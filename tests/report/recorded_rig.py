@@ -122,5 +122,5 @@ def record(directory, blocks=150, prefix="/", live=True):
             rig.set_point = PARAMETERS.replace(preload=120.0)
             recording.describe(rig.set_point)
         recording.take(rig.next_block())
-    recording.writer.close("completed")
+    recording.writer.close("complete")
     return recording

@@ -48,7 +48,7 @@ def test_parquet_says_units_provenance_and_the_rigs_constants(run, tmp_path):
     schema = pq.read_schema(file.path)
     assert schema.field("motor_torque").metadata[b"unit"] == b"N m"
     assert schema.field("stamp").metadata[b"unit"] == b"ns"
-    assert json.loads(schema.metadata[b"provenance"])["ending"] == "completed"
+    assert json.loads(schema.metadata[b"provenance"])["ending"] == "complete"
     descriptions = json.loads(schema.metadata[b"descriptions"])
     assert ["preload: 120" in told["yaml"] for told in descriptions] == [False, True]
 

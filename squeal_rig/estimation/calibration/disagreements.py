@@ -21,9 +21,9 @@ from squeal_rig.estimation.calibration.search import evolve
 from squeal_rig.estimation.calibration.targets import Targets
 from squeal_rig.model.eigen import eigenvalues, squeal_frequency
 from squeal_rig.model.ensemble import simulate_many
-from squeal_rig.model.equilibrium import equilibrium
 from squeal_rig.model.friction import friction_coefficient
 from squeal_rig.model.parameters import RigParameters
+from squeal_rig.model.statics import equilibrium
 from squeal_rig.model.trajectory import LARGE_DISPLACEMENT
 
 Values = NDArray[np.float64]

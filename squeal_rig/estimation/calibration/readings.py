@@ -11,8 +11,8 @@ import numpy as np
 from squeal_rig.estimation.calibration.evaluation import Evaluator
 from squeal_rig.estimation.calibration.problem import Calibration, Free
 from squeal_rig.estimation.calibration.search import calibrate
-from squeal_rig.model.equilibrium import equilibrium
 from squeal_rig.model.parameters import RigParameters
+from squeal_rig.model.statics import equilibrium
 
 _THIRD_QUARTER, _QUARTER = 0.75 * math.pi, 0.25 * math.pi
 _ANGLES = (Free("arm_angle_1", 0.0, math.pi), Free("arm_angle_2", 0.0, math.pi))

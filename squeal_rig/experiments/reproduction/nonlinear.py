@@ -15,8 +15,8 @@ from squeal_rig.experiments.reproduction.linear import threshold_preload
 from squeal_rig.experiments.reproduction.paper import FrequencyRow, PaperNumbers
 from squeal_rig.model.declared import declarations
 from squeal_rig.model.eigen import eigenvalues, squeal_frequency
-from squeal_rig.model.equilibrium import equilibrium
 from squeal_rig.model.parameters import RigParameters
+from squeal_rig.model.statics import equilibrium
 from squeal_rig.model.trajectory import Trajectory, displaced_state, simulate
 
 Values = NDArray[np.float64]
