@@ -90,10 +90,10 @@ def _add(outer: Vector, term: int, part: Vector, out: Vector) -> None:
 
 @inlined_kernel
 def evaluate_all(m: Vector, x: float, y: float, u: float, v: float, out: Vector) -> None:
-    """Put 16 polynomials, the columns of a matrix (35, 16) that `m` holds row by row, at the state (x, y, u, v) into `out` (16,).
+    """Put the values of 16 polynomials at the state (x, y, u, v) into `out` (16,).
 
-    Horner's rule in four variables: 34 products and nothing else. Sixteen columns, so that the compiler makes vector
-    instructions of the loop.
+    `m` (35 * 16,) holds the first coefficient of all, then the second of all, and so on. Horner's rule in four
+    variables: 34 products and nothing else. Sixteen, so that the compiler makes vector instructions of the loop.
     """
     for k in range(N):
         xx = m[5 * N + k] + x * m[15 * N + k] + y * m[16 * N + k] + (u * m[17 * N + k] + v * m[18 * N + k])

@@ -1,14 +1,17 @@
-"""The exact engine: linear part by matrix exponentials, arm rotation by quadrature, contact events to rounding.
+"""The exact engine: polynomial maps between samples, contact events to rounding.
 
-A plain step (`advance`) is equation (P) of squeal_rig.model.propagator. It is taken only where it is proven:
+Plain steps (`_glide`) are the maps of squeal_rig.model.propagator, four at a time. A step is taken only where it is
+proven:
 - the arms' rotation lies in its small range (|x|, |y| <= NEAR at both ends; NaN fails this too);
-- the pad cannot meet or leave the belt within the step: |y(s) - chord| <= h^2/8 max|y''|, and a bound of |y''|
-  comes with the propagators, so a start and an end further than that from L_pre exclude any crossing, double ones
-  included.
-Every other step is careful (`careful_step`): Taylor series of the full nonlinear equations, to the first zero of
-y - L_pre (or of V - vx where friction sees |V - vx|), from there in the other mode, and so on to the end of the
-step, in pieces no longer than the series is exact to rounding. So far motions and slip friction are slower, never
-wrong.
+- the pad cannot meet or leave the belt within the step: |y(s) - chord| <= h^2/8 max|y''|, so a start and an end
+  further than that from L_pre exclude any crossing, double ones included. A bound of max|y''| for the whole small range
+  decides nearly always; one for the state at hand decides where the pad is close to the edge.
+Every other step is careful (`careful_step`): Taylor series (squeal_rig.model.near in the small range, else the full
+nonlinear equations of squeal_rig.model.series) to the first zero of y - L_pre (or of V - vx where friction sees
+|V - vx|), from there in the other mode, and so on to the end of the step, in pieces no longer than the series is exact
+to rounding. So far motions and slip friction are slower, never wrong.
+
+States reached but not yet passed at the end of a block are kept for the next: blocks give the bits of one run.
 """
 
 from __future__ import annotations
@@ -31,20 +34,22 @@ from squeal_rig.model.dynamics import (
 from squeal_rig.model.kernel import fused_kernel, inlined_kernel
 from squeal_rig.model.near import NEAR_ORDER, evaluate_near, expand_near, first_zero_near
 from squeal_rig.model.propagator import (
-    AHEAD,
+    ALL_PASSED,
+    BOUND,
     CONTACT_LIMITS,
     FLOW_SIZE,
     GX,
     NEAR,
     OFF_BELT,
     OFF_BELT_LIMITS,
+    PASSED,
+    PATH,
     STEP,
     TUBE,
 )
 from squeal_rig.model.series import (
     EVENT,
     MAX_ORDER,
-    PATH,
     ROWS,
     X,
     Y,
@@ -203,6 +208,28 @@ def _count_event(vy: float, time: float, tally: Vector, events: Vector) -> None:
     tally[EVENTS] += 1.0
 
 
+@inlined_kernel
+def _cannot_cross(
+    x: float, y: float, vx: float, vy: float, next_y: float, edge: float, contact: bool, h: float, limits: Vector
+) -> bool:
+    """Whether both ends of a step are on the mode's side of the edge, further than y can be from its chord."""
+    bound = limits[BOUND] + limits[BOUND + 1] * abs(x) + limits[BOUND + 2] * abs(y)
+    bound += limits[BOUND + 3] * abs(vx) + limits[BOUND + 4] * abs(vy)
+    room = min(abs(y - edge), abs(next_y - edge))
+    return bool(room > 0.125 * h * h * bound and (next_y < edge) == contact)
+
+
+@inlined_kernel
+def _first_not_passed(state: Vector, flow: Vector) -> int:
+    """Where in the path kept from the last block the next state begins; at its end where it does not lead on."""
+    k = int(flow[PASSED])
+    for i in range(4):
+        # A state that somebody changed meanwhile is on no path. At 0 there is nothing to compare with.
+        if k < 4 or flow[PATH + k - 4 + i] != state[i]:
+            return ALL_PASSED
+    return k
+
+
 @fused_kernel
 def _glide(
     state: Vector,
@@ -212,14 +239,13 @@ def _glide(
     substeps: int,
     first: int,
     steps: int,
-    path: Vector,
     out: Vector,
 ) -> int:
-    """Plain steps from number `first` on, as long as they are proven and up to `steps`; samples on the way go to `out`.
+    """Plain steps from number `first` on, up to `steps` or the first that is not proven; samples on the way to `out`.
 
     Returns the number of the step not taken; `state` is its start, and already in `out` where it is a sample.
     """
-    m = flow[:OFF_BELT] if contact else flow[OFF_BELT:CONTACT_LIMITS]
+    path, m = flow[PATH:PASSED], flow[:OFF_BELT] if contact else flow[OFF_BELT:CONTACT_LIMITS]
     limits = flow[CONTACT_LIMITS:OFF_BELT_LIMITS] if contact else flow[OFF_BELT_LIMITS:GX]
     stiffness, edge, mu, h, tube = q[K_C], q[L_PRE], q[MU], flow[STEP], limits[TUBE]
     slips = q[SLIP_SPEED] > 0.0 or q[SLIP_DIRECTION] > 0.0
@@ -227,36 +253,33 @@ def _glide(
     low, high = (-near, min(near, edge - tube)) if contact else (max(-near, edge + tube), near)
     x, y, vx, vy = state[0], state[1], state[2], state[3]
     clear = low < y < high and abs(x) < near
-    i = first // substeps
-    j = first - i * substeps
-    n = first
-    while n < steps:
-        evaluate_all(m, x, y, vx, vy, path)
-        k = 0
-        until = min(steps, n // AHEAD * AHEAD + AHEAD)
-        while n < until:
-            if j == 0:
-                normal = stiffness * max(0.0, edge - y)
-                out[i, 0], out[i, 1], out[i, 2], out[i, 3] = x, y, vx, vy
-                out[i, 4], out[i, 5] = normal, (friction_ratio(vx, q) if slips else mu) * normal
-            next_x, next_y = path[k], path[k + 1]
-            next_clear = low < next_y < high and abs(next_x) < near
-            if not (clear and next_clear):
-                reach = max(abs(x), abs(y), abs(next_x), abs(next_y))
-                room = min(abs(y - edge), abs(next_y - edge))
-                bound = limits[0] + limits[1] * abs(x) + limits[2] * abs(y) + limits[3] * abs(vx) + limits[4] * abs(vy)
-                if not (reach <= near and room > 0.125 * h * h * bound and (next_y < edge) == contact):
-                    state[0], state[1], state[2], state[3] = x, y, vx, vy
-                    return n
-            clear = next_clear
-            x, y, vx, vy = next_x, next_y, path[k + 2], path[k + 3]
-            n += 1
-            k += 4
-            j += 1
-            if j == substeps:
-                i, j = i + 1, 0
+    sample = first // substeps
+    past_sample = first - sample * substeps
+    k = _first_not_passed(state, flow)
+    flow[PASSED] = ALL_PASSED
+    for n in range(first, steps):
+        if k == ALL_PASSED:
+            evaluate_all(m, x, y, vx, vy, path)
+            k = 0
+        if past_sample == 0:
+            normal = stiffness * max(0.0, edge - y)
+            out[sample, 0], out[sample, 1], out[sample, 2], out[sample, 3] = x, y, vx, vy
+            out[sample, 4], out[sample, 5] = normal, (friction_ratio(vx, q) if slips else mu) * normal
+        next_x, next_y = path[k], path[k + 1]
+        next_clear = low < next_y < high and abs(next_x) < near
+        if not (clear and next_clear):
+            reach = max(abs(x), abs(y), abs(next_x), abs(next_y))
+            if not (reach <= near and _cannot_cross(x, y, vx, vy, next_y, edge, contact, h, limits)):
+                state[0], state[1], state[2], state[3] = x, y, vx, vy
+                return n
+        clear = next_clear
+        x, y, vx, vy = next_x, next_y, path[k + 2], path[k + 3]
+        k, past_sample = k + 4, past_sample + 1
+        if past_sample == substeps:
+            sample, past_sample = sample + 1, 0
     state[0], state[1], state[2], state[3] = x, y, vx, vy
-    return n
+    flow[PASSED] = k
+    return steps
 
 
 @fused_kernel
@@ -276,7 +299,7 @@ def advance(
     Args:
         state: x, y, vx, vy [m, m/s].
         q: packed parameters.
-        flow: their propagators over one step.
+        flow: their propagators.
         substeps: steps per output interval.
         w: workspace.
         tally: contact time [s], separations and events are added up in it; event times in a block start at 0.
@@ -287,13 +310,12 @@ def advance(
         how the block ended, and the number of samples filled.
     """
     h = flow[STEP]
-    path = w[PATH]
     contact = is_in_contact(state, q)
     tally[SINCE], tally[EVENTS] = 0.0, 0.0
     steps = out.shape[0] * substeps
     step = 0
     while True:
-        step = _glide(state, q, flow, contact, substeps, step, steps, path, out)
+        step = _glide(state, q, flow, contact, substeps, step, steps, out)
         if step == steps:
             break
         ended = careful_step(state, q, flow, step * h, h, w, tally, events)

@@ -1,4 +1,4 @@
-"""Exact propagators of the linear part of Eq. (2.3) over one step, in contact and off the belt.
+"""The flow of Eq. (2.3) over one to four steps, in contact and off the belt, as polynomials of the state.
 
 With z = (x, y, vx, vy) and the mode's linear part split off, Eq. (2.3) reads z' = A z + b + B g(r):
 
@@ -9,8 +9,9 @@ and variation of constants gives, exactly,
 
     z(h) = e^{Ah} z(0) + int_0^h e^{As} b ds + int_0^h e^{A(h-s)} B g(r(s)) ds.                                  (P)
 
-The first two terms are matrices, computed here once per set of parameters. In the last one r(s) is the linear path
-(one Picard sweep) at the three Gauss-Legendre nodes, whose weights w_i h e^{A(h - s_i)} B are computed here as well.
+In the last term r(s) is the linear path (one Picard sweep), which is linear in z(0), and g a polynomial of degree 3: so
+z(h) is a polynomial of degree 3 in z(0). Its coefficients are computed here once per set of parameters, the integral by
+three Gauss-Legendre nodes; those of 2 to 4 steps by putting the map into itself.
 
 The arm's force in powers of r/L follows from the generating function of the Legendre polynomials P_n:
 L/l - 1 = sum_n (r/L)^n P_n(cos psi), psi the angle between r and the arm's axis n, so the force k (L/l - 1)(r - a)
@@ -19,12 +20,15 @@ has at order n >= 2 the part k L (r/L)^n [P_{n-1} r/|r| - P_n n], never longer t
 
 Error of one step, relative to r, with theta = h^2 sum k_i/(m L_i) r:
 - orders 4 and up:       h^2/2 sum 2 k_i/m (r/L_i)^3
-- one Picard sweep:      |g| <= 2 sum k_i/m r^2/L_i moves the path by theta r at most, and |dg/dr| <= 6 sum k_i/m
-  r/L_i acts on that for a mean of h^2/12: theta^2/2
-- Gauss-Legendre, 3 nodes: h^7/2016000 times a sixth derivative, (2 omega h)^6/2e6 theta <= 1e-8 theta
-`NEAR` is the r up to which the first two sum to `NEAR_ERROR` at most; beyond it the engine takes Taylor steps of
-the full nonlinear equations (squeal_rig.model.series). The bound is a worst case: at the preset a step loses below
-1e-13.
+- one Picard sweep:      |P_1 r/|r| - P_2 n|^2 = sin^2 psi (1 + 3 cos^2 psi)/4 <= 1/3, so |g_2| <= 0.58 sum k_i/(m L_i)
+  r^2 moves the path by 0.29 theta r at most; g_2 is the gradient of a cubic form, so |dg_2/dr| <= 2 max|g_2|/r, which
+  acts on that for a mean of h^2/12: 0.03 theta^2
+- Gauss-Legendre, 3 nodes: h^7/2016000 times a sixth derivative, (3 omega h)^6/2e6 theta <= 1e-7 theta
+- composition:           of n steps the quadratic part is at most 0.29 n^2 theta r, the cubic one 0.25 n^2 theta r^2/L;
+  dropped are products of the two and quadratic parts of quadratic parts: 4 theta^2 r/L + 3 theta^3 at n = 3
+Up to r = `NEAR` the first is half of `NEAR_ERROR`, theta^2 at most `NEAR_ERROR` and r/L 0.01: together less than
+`NEAR_ERROR`. Beyond it the engine takes Taylor steps of the full nonlinear equations (squeal_rig.model.series). The
+bound is a worst case: at the preset a step loses below 1e-13.
 """
 
 from __future__ import annotations
@@ -73,7 +77,11 @@ BOUND, TUBE = 0, 5
 # What both modes share.
 GX, GY = 1132, 1139  # coefficients of xx, xy, yy, xxx, xxy, xyy, yyy in g
 NEAR, STEP, K_AA, K_AB, K_BB = 1146, 1147, 1148, 1149, 1150  # stiffness of arms and clips per mass
-FLOW_SIZE = 1151
+# The maps' last values, the states after the next four steps, and where the first not yet passed begins; ALL_PASSED
+# where there is none. Kept here since they are worth nothing under other parameters.
+PATH, PASSED = 1152, 1168
+ALL_PASSED = 16
+FLOW_SIZE = 1169
 
 _TERMS = 16
 _ROOT = math.sqrt(0.6)
@@ -100,7 +108,8 @@ def substeps_needed(q: Vector, interval: float, longest: float) -> int:
 
 @kernel
 def propagators(q: Vector, h: float, flow: Vector) -> None:
-    """Fill `flow` (1151,) for the packed parameters `q` and the step h [s]."""
+    """Fill `flow` (`FLOW_SIZE`,) for the packed parameters `q` and the step h [s]."""
+    flow[PASSED] = ALL_PASSED
     _shared(q, h, flow)
     for contact in (True, False):
         _mode(q, h, contact, flow)
@@ -258,4 +267,4 @@ def _tube(a: Vector, b: Vector, q: Vector, h: float, near: float) -> float:
     own = 0.125 * h * h * k + h * c
     if not own < 1.0:
         return math.inf
-    return 0.125 * h * h * 1.05 * ((k + 2.0 * c / h) * near + rest) / (1.0 - own)
+    return float(0.125 * h * h * 1.05 * ((k + 2.0 * c / h) * near + rest) / (1.0 - own))

@@ -46,9 +46,7 @@ MAX_ORDER = 16
 # friction that sees the slip: slip over V_reg, tanh, 1 - tanh^2, coefficient, F_t/N.
 X, Y, W1, W2, P1, P2, PULL, NORMAL, SLIP, TANH, SECH2, COEFFICIENT, RATIO = range(13)
 EVENT = 13
-# The states after the next steps, of squeal_rig.model.exact.
-PATH = 14
-ROWS = 15
+ROWS = 14
 
 _EPS = 2.220446049250313e-16
 _ROUNDING = 4.0 * _EPS
@@ -67,7 +65,7 @@ def expand(
     arm_order: int,
     w: Vector,
 ) -> None:
-    """Fill the rows X and Y of the workspace `w` (15, 17) with the path from `state` (4,) over h [s].
+    """Fill the rows X and Y of the workspace `w` (14, 17) with the path from `state` (4,) over h [s].
 
     Args:
         state: x, y, vx, vy [m, m/s].
