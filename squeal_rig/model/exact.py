@@ -11,7 +11,9 @@ nonlinear equations of squeal_rig.model.series) to the first zero of y - L_pre (
 |V - vx|), from there in the other mode, and so on to the end of the step, in pieces no longer than the series is exact
 to rounding. So far motions and slip friction are slower, never wrong.
 
-States reached but not yet passed at the end of a block are kept for the next: blocks give the bits of one run.
+The maps are evaluated anew at each fourth step, counted on through all blocks, and after each event. So blocks of any
+length give the bits of one run, and so does a state of which a new run starts after a multiple of four steps; after
+another number the same to rounding.
 """
 
 from __future__ import annotations
@@ -34,6 +36,7 @@ from squeal_rig.model.dynamics import (
 from squeal_rig.model.kernel import fused_kernel, inlined_kernel
 from squeal_rig.model.near import NEAR_ORDER, evaluate_near, expand_near, first_zero_near
 from squeal_rig.model.propagator import (
+    AHEAD,
     ALL_PASSED,
     BOUND,
     CONTACT_LIMITS,
@@ -45,6 +48,7 @@ from squeal_rig.model.propagator import (
     PASSED,
     PATH,
     STEP,
+    STEPS,
     TUBE,
 )
 from squeal_rig.model.series import (
@@ -255,10 +259,11 @@ def _glide(
     clear = low < y < high and abs(x) < near
     sample = first // substeps
     past_sample = first - sample * substeps
+    before = int(flow[STEPS])
     k = _first_not_passed(state, flow)
     flow[PASSED] = ALL_PASSED
     for n in range(first, steps):
-        if k == ALL_PASSED:
+        if k == ALL_PASSED or (n + before) & (AHEAD - 1) == 0:
             evaluate_all(m, x, y, vx, vy, path)
             k = 0
         if past_sample == 0:
@@ -323,6 +328,7 @@ def advance(
         if ended != DONE:
             return ended, (step - 1) // substeps + 1
         contact = is_in_contact(state, q)
+    flow[STEPS] = (int(flow[STEPS]) + steps) % AHEAD
     if contact:
         tally[CONTACT_TIME] += steps * h - tally[SINCE]
     return DONE, out.shape[0]

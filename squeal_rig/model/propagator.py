@@ -77,11 +77,11 @@ BOUND, TUBE = 0, 5
 # What both modes share.
 GX, GY = 1132, 1139  # coefficients of xx, xy, yy, xxx, xxy, xyy, yyy in g
 NEAR, STEP, K_AA, K_AB, K_BB = 1146, 1147, 1148, 1149, 1150  # stiffness of arms and clips per mass
-# The maps' last values, the states after the next four steps, and where the first not yet passed begins; ALL_PASSED
-# where there is none. Kept here since they are worth nothing under other parameters.
-PATH, PASSED = 1152, 1168
+# What goes on from block to block, and is worth nothing under other parameters: the maps' last values, the states after
+# the next four steps; where the first not yet passed begins, ALL_PASSED where there is none; and steps taken, modulo 4.
+PATH, PASSED, STEPS = 1152, 1168, 1169
 ALL_PASSED = 16
-FLOW_SIZE = 1169
+FLOW_SIZE = 1170
 
 _TERMS = 16
 _ROOT = math.sqrt(0.6)
@@ -109,7 +109,7 @@ def substeps_needed(q: Vector, interval: float, longest: float) -> int:
 @kernel
 def propagators(q: Vector, h: float, flow: Vector) -> None:
     """Fill `flow` (`FLOW_SIZE`,) for the packed parameters `q` and the step h [s]."""
-    flow[PASSED] = ALL_PASSED
+    flow[PASSED], flow[STEPS] = ALL_PASSED, 0.0
     _shared(q, h, flow)
     for contact in (True, False):
         _mode(q, h, contact, flow)
