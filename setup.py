@@ -17,7 +17,7 @@ def files(target: str, *patterns: str) -> tuple[str, list[str]]:
 def tree(folder: str) -> list[tuple[str, list[str]]]:
     """Entries of data_files for the YAML files in `folder` and below, each in its own folder under share/."""
     folders = [Path(folder), *(path for path in sorted(Path(folder).rglob("*")) if path.is_dir())]
-    return [files(f"{SHARE}/{path}", f"{path}/*.yaml") for path in folders]
+    return [files(f"{SHARE}/{path}", f"{path}/*.yaml", f"{path}/*.xml") for path in folders]
 
 
 setup(

@@ -20,17 +20,24 @@ def generate_launch_description() -> LaunchDescription:
         "namespace": LaunchConfiguration("namespace"),
         "output": "screen",
     }
-    bag = {"bag": ParameterValue(LaunchConfiguration("bag"), value_type=str)}
+    # The player begins when the estimators listen, so that their first windows are those of the recorded run.
+    bag = {
+        "bag": ParameterValue(LaunchConfiguration("bag"), value_type=str),
+        "wait_for_subscribers": 10.0,
+        "clock": ParameterValue(LaunchConfiguration("clock"), value_type=bool),
+    }
+    clock = {"use_sim_time": ParameterValue(LaunchConfiguration("clock"), value_type=bool)}
     return LaunchDescription(
         [
             DeclareLaunchArgument("bag", description="folder or file to replay"),
             DeclareLaunchArgument("params_file", default_value=config, description="parameters of all nodes"),
-            DeclareLaunchArgument("namespace", default_value="", description="moves the whole rig"),
+            DeclareLaunchArgument("namespace", default_value="", description="the namespace of the recorded rig"),
+            DeclareLaunchArgument("clock", default_value="false", description="recorded time on /clock, for all nodes"),
             DeclareLaunchArgument("record", default_value="false", description="write the results to a new bag"),
-            *(Node(executable=name, parameters=[parameters], **started) for name in ESTIMATORS),
+            *(Node(executable=name, parameters=[parameters, clock], **started) for name in ESTIMATORS),
             Node(
                 executable="recorder",
-                parameters=[parameters],
+                parameters=[parameters, clock],
                 condition=IfCondition(LaunchConfiguration("record")),
                 **started,
             ),

@@ -5,9 +5,10 @@ from launch.actions import DeclareLaunchArgument
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
-ALWAYS = ("rig", "friction_estimator", "stability", "squeal_detector")
+ESTIMATORS = ("friction_estimator", "stability", "squeal_detector")
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -16,15 +17,24 @@ def generate_launch_description() -> LaunchDescription:
     started = {
         "package": "squeal_rig",
         "namespace": LaunchConfiguration("namespace"),
-        "parameters": [LaunchConfiguration("params_file")],
         "output": "screen",
     }
+    parameters = LaunchConfiguration("params_file")
+    # Where real_time_factor is not 1 the rig makes the clock and all others follow it.
+    clock = {"use_sim_time": ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool)}
     return LaunchDescription(
         [
             DeclareLaunchArgument("params_file", default_value=config, description="parameters of all nodes"),
             DeclareLaunchArgument("namespace", default_value="", description="moves the whole rig"),
             DeclareLaunchArgument("record", default_value="false", description="write a bag"),
-            *(Node(executable=name, **started) for name in ALWAYS),
-            Node(executable="recorder", condition=IfCondition(LaunchConfiguration("record")), **started),
+            DeclareLaunchArgument("use_sim_time", default_value="false", description="true: follow the rig's /clock"),
+            Node(executable="rig", parameters=[parameters], **started),
+            *(Node(executable=name, parameters=[parameters, clock], **started) for name in ESTIMATORS),
+            Node(
+                executable="recorder",
+                parameters=[parameters, clock],
+                condition=IfCondition(LaunchConfiguration("record")),
+                **started,
+            ),
         ]
     )

@@ -91,19 +91,9 @@ def reproduce(
     preset: Annotated[str, typer.Option(help="Preset to compute from.")] = "yavuz_sen_2023",
 ) -> None:
     """Every result of the paper from the preset, beside the printed numbers: a page, pictures, tables."""
-    from rich.progress import Progress
+    from squeal_rig.experiments.reproduction.run import run_reproduction
 
-    from squeal_rig.experiments.reproduction.run import STAGES, compute, write_results
-
-    with Progress(console=console) as bar:
-        task = bar.add_task("starting", total=STAGES)
-        results = compute(preset, lambda stage: bar.update(task, advance=1, description=stage))
-        bar.update(task, description="figures and page")
-        page = write_results(results, out)
-        bar.update(task, description="done")
-    for number, statement in enumerate(results.statements(), 1):
-        console.print(f"{number}. {statement.text} [bold]{statement.verdict}[/bold]: {statement.evidence}")
-    console.print(f"page: {page}")
+    run_reproduction(preset, out, console)
 
 
 @app.command()

@@ -6,6 +6,8 @@ from squeal_rig.instruments.settings import BLOCKS_PER_SECOND
 
 #: Blocks made at one go while catching up; more would keep everybody else waiting.
 _MOST_AT_ONCE = 10
+#: Time behind [s] worth a warning: ten blocks.
+LATE = 0.1
 #: Time behind [s] at which catching up is given up and the gap reported.
 OVERRUN = 0.5
 
@@ -21,6 +23,7 @@ class Pacer:
         self._period = 1.0 / (BLOCKS_PER_SECOND * real_time_factor) if real_time_factor > 0.0 else 0.0
         self._start = 0.0
         self._made = 0
+        self._worst = 0.0
         self.overruns = 0
         self.skipped_seconds = 0.0
 
@@ -28,6 +31,11 @@ class Pacer:
     def period(self) -> float:
         """Time between blocks [s]; 0 as fast as possible."""
         return self._period
+
+    def worst_behind(self) -> float:
+        """Longest time a block was late since this was last asked [s]."""
+        worst, self._worst = self._worst, 0.0
+        return worst
 
     def start(self, now: float) -> None:
         """Count from now [s] on: the first block is due when its last sample was taken."""
@@ -47,6 +55,7 @@ class Pacer:
             self.start(now)
             waiting = 1
             self._start -= self._period
+        self._worst = max(self._worst, (waiting - 1) * self._period)
         count = min(waiting, _MOST_AT_ONCE)
         self._made += count
         return count, overrun

@@ -1,7 +1,4 @@
-"""The static equilibrium of Eq.
-
-(2.3) in compiled code, for many operating points; `equilibrium` is the one for one.
-"""
+"""Static equilibrium of Eq. (2.3), compiled, for many operating points; `statics` has the one for one point."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ from squeal_rig.recording.session import RecordingSession
 from squeal_rig.recording.settings import RecorderSettings
 
 _FLUSH_PERIOD = 0.25
-_RUN_FACTS = ("preset", "seed")  # parameters of the rig that tell what a run was
+_RUN_FACTS = ("preset",)  # parameters of the rig that tell what a run was
 
 
 class RecorderNode(Node):

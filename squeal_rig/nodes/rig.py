@@ -13,7 +13,7 @@ from squeal_rig.errors import DriverError, ParameterError, SquealRigError
 from squeal_rig.instruments.acquisition import Acquisition, change_refusal
 from squeal_rig.instruments.description import RigDescription
 from squeal_rig.instruments.driver import make_driver
-from squeal_rig.instruments.pacing import Pacer
+from squeal_rig.instruments.pacing import LATE, Pacer
 from squeal_rig.instruments.settings import PresetChoice, RigSettings
 from squeal_rig.model.declared import Declared
 from squeal_rig.model.friction import friction_refusal
@@ -47,6 +47,7 @@ class RigNode(LifecycleNode):
         self._timer: Timer | None = None
         self._active = self._paused = False
         self._fault = ""
+        self._told_overruns = 0
         self._warnings: tuple[str, ...] = ()
         self._outputs = RigOutputs(self, self._driver.publishes_truth, self._settings.real_time_factor != 1.0)
         offer_services(self, self)
@@ -215,10 +216,13 @@ class RigNode(LifecycleNode):
 
     def _health(self) -> Health:
         acquisition = self._acquisition
+        behind, overruns = self._pacer.worst_behind(), self._pacer.overruns - self._told_overruns
+        self._told_overruns = self._pacer.overruns
         values = {
             "driver": self._driver_name,
             "samples": acquisition.samples if acquisition is not None else self._samples,
             "overruns": self._pacer.overruns,
+            "behind [ms]": round(1e3 * behind, 1),
             "skipped [s]": round(self._pacer.skipped_seconds, 3),
             "tared": bool(acquisition is not None and acquisition.tare),
         }
@@ -229,8 +233,10 @@ class RigNode(LifecycleNode):
             return OK, "paused" if self._active else "inactive", values
         if warnings:
             return WARN, " ".join(warnings), values
-        if self._pacer.overruns:
-            return WARN, f"fell behind real time {self._pacer.overruns} times", values
+        if overruns:
+            return WARN, f"fell behind real time: {self._pacer.skipped_seconds:.2f} s skipped so far", values
+        if behind > LATE:
+            return WARN, f"behind real time by {1e3 * behind:.0f} ms, catching up", values
         return OK, "running", values
 
 

@@ -9,13 +9,13 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
-from squeal_rig.errors import SquealRigError
+from squeal_rig.errors import ParameterError, SquealRigError
 from squeal_rig.estimation.settings import SquealSettings
 from squeal_rig.estimation.squeal import SquealDetector, SquealState
 from squeal_rig.instruments.channels import DAQ_CHANNELS, block_from_cdr
 from squeal_rig.instruments.description import RigDescription
 from squeal_rig.nodes import qos
-from squeal_rig.nodes.conversions import OK, WARN, diagnostics, status
+from squeal_rig.nodes.conversions import ERROR, OK, WARN, diagnostics, status
 from squeal_rig.nodes.health import DataWatch, Health, HealthPublisher
 from squeal_rig.nodes.lifetime import Lifetime, run_node
 from squeal_rig.nodes.parameters import NODE_OPTIONS, DeclaredParameters
@@ -30,6 +30,7 @@ class SquealDetectorNode(Node):
         self._settings = DeclaredParameters(self, (SquealSettings(),)).group(SquealSettings)
         self._detector: SquealDetector | None = None
         self._sample_rate = 0
+        self._fault = ""
         self._rejected = 0
         self._watch = DataWatch("daq/samples")
         self._publisher = self.create_publisher(DiagnosticArray, "squeal/state", qos.EVENTS)
@@ -38,9 +39,14 @@ class SquealDetectorNode(Node):
         HealthPublisher(self, self._health)
 
     def _on_rig(self, rig: RigDescription) -> None:
-        if rig.sample_rate != self._sample_rate:
-            self._sample_rate = rig.sample_rate
+        if rig.sample_rate == self._sample_rate:
+            return
+        self._sample_rate, self._detector, self._fault = rig.sample_rate, None, ""
+        try:
             self._detector = SquealDetector(rig.sample_rate, self._settings)
+        except ParameterError as error:
+            self._fault = str(error)
+            self.get_logger().error(self._fault)
 
     def _on_daq(self, data: bytes) -> None:
         self._watch.seen()
@@ -55,7 +61,8 @@ class SquealDetectorNode(Node):
             self.get_logger().warning(f"block refused: {error}", throttle_duration_sec=1.0)
 
     def _health(self) -> Health:
-        return self._watch.health({"rejected blocks": self._rejected})
+        values = {"rejected blocks": self._rejected}
+        return (ERROR, self._fault, values) if self._fault else self._watch.health(values)
 
 
 def _message(state: SquealState) -> DiagnosticArray:

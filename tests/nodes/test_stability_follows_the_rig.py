@@ -12,7 +12,7 @@ from .statuses import status_of
 
 pytest.importorskip("rclpy")
 
-_LATENCY_BOUND = 0.2
+_LATENCY_BOUND = 0.2  # of the median over five changes
 # A single change may meet a machine that is busy with other things.
 _WORST_LATENCY = 2.0
 
@@ -27,7 +27,7 @@ def _published_eigenvalues(message):
     return np.sort_complex(table[:, 0] + 1j * table[:, 1])
 
 
-def test_a_new_preload_changes_the_stability_summary_within_200_ms(bench, measured):
+def test_a_new_preload_changes_the_stability_summary_within_200_ms_in_the_median(bench, measured):
     latencies = []
     for preload in (300.0, 60.0, 310.0, 70.0, 320.0):
         bench.rest(preload=50.0)

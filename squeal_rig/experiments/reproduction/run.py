@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.console import Console
+from rich.progress import Progress as ProgressBar
 
 from squeal_rig.experiments.reproduction import figures, linear, nonlinear, statements
 from squeal_rig.experiments.reproduction.friction_law import FrictionExperiment, measure_friction
@@ -120,6 +122,19 @@ def write_results(results: Results, folder: Path) -> Path:
     page = folder / PAGE
     write_page("The paper, reproduced and corrected", lead, sections, page)
     return page
+
+
+def run_reproduction(preset: str, folder: Path, console: Console) -> None:
+    """Compute and write everything with a progress bar, and print the statements with their verdicts."""
+    with ProgressBar(console=console) as bar:
+        task = bar.add_task("starting", total=STAGES)
+        results = compute(preset, lambda stage: bar.update(task, advance=1, description=stage))
+        bar.update(task, description="figures and page")
+        page = write_results(results, folder)
+        bar.update(task, description="done")
+    for number, statement in enumerate(results.statements(), 1):
+        console.print(f"{number}. {statement.text} [bold]{statement.verdict}[/bold]: {statement.evidence}")
+    console.print(f"page: {page}")
 
 
 def _sections(r: Results) -> Iterable[Section]:
