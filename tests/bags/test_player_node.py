@@ -21,7 +21,7 @@ def recorded(bag_domain, tmp_path_factory):
     children, client = Children(bag_domain, folder), Client(bag_domain)
     recorder = children.node("recorder", directory=folder / "run", topics=TOPICS)
     client.wait_for(lambda: "recorder" in client.health, "the recorder")
-    load = children.load(folder / "load.txt", 4.0)
+    load = children.load(folder / "load.txt", 4.0, wait=True)
     assert load.wait(60) == 0
     assert published(folder / "load.txt")[0] > 350
     assert ended(recorder) == 0

@@ -36,7 +36,7 @@ def block_cdr(number, stamp, seed=7):
     return cdr_from_samples(samples, stamp)
 
 
-def write_bag(directory, blocks=200, skip=(), chunk_size=16384, ending="completed", start=START, **options):
+def write_bag(directory, blocks=200, skip=(), chunk_size=16384, ending="complete", start=START, **options):
     """Write a description, then blocks at 100 Hz on two topics; returns everything that was sent, in order."""
     sent = []
     writer = BagWriter(directory, chunk_size=chunk_size, custom_data={"seed": "7"}, **options)

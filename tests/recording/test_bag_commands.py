@@ -26,7 +26,7 @@ def test_info_shows_rates_gaps_provenance_and_ending(bag):
     for command in (("bag", "info"), ("info",)):
         code, text = squeal_rig(*command, bag)
         assert code == 0
-        for piece in ("completed", "seed", "/daq/samples", "3136", "64", "/rig"):
+        for piece in ("complete", "seed", "/daq/samples", "3136", "64", "/rig"):
             assert piece in text
     assert "Samples" not in squeal_rig("bag", "info", bag, "--quick")[1]
 

@@ -84,7 +84,7 @@ def test_a_whole_file_comes_back_whole(original, tmp_path):
     assert report.sentences()[-1] == "nothing is missing"
     copy = Bag(tmp_path / "out")
     assert copy.custom_data["seed"] == "7"
-    assert copy.ending == "completed"
+    assert copy.ending == "complete"
     assert [(r.name, r.values["node"]) for r in copy.metadata_records] == [("parameters", "/rig")]
     assert copy.topics["/rig/description"].qos[0].durability == "transient_local"
 

@@ -130,7 +130,7 @@ def test_a_bag_without_metadata_yaml_is_read_with_its_provenance(tmp_path, strin
     (tmp_path / "run" / "metadata.yaml").unlink()
     bag = Bag(tmp_path / "run")
     assert [message.data for message in bag.messages()] == [b"1"]
-    assert bag.custom_data == {"seed": "7", "ending": "completed"}
+    assert bag.custom_data == {"seed": "7", "ending": "complete"}
 
 
 @pytest.mark.parametrize("name", ["run", "run/run_0.mcap"])
@@ -141,7 +141,7 @@ def test_an_unclosed_recording_is_named_and_said_to_be_recoverable(tmp_path, str
     writer.flush()
     with pytest.raises(RecordingError, match=r"run_0\.mcap was not closed: .* complete chunks can be recovered"):
         Bag(tmp_path / name)
-    writer.close("completed")
+    writer.close("complete")
     assert Bag(tmp_path / name).message_count == 1
 
 

@@ -26,7 +26,7 @@ def write_bag(directory, cloud_schema, string_schema, payloads, **options):
     writer.add_topic("/unused", string_schema.type_name, schema=string_schema)
     for number, payload in enumerate(payloads):
         writer.write((clouds, texts)[number % 2], payload, T0 + number * 10**7, T0 + number * 10**7 - 1000)
-    writer.close("completed")
+    writer.close("complete")
     return directory
 
 
@@ -180,7 +180,7 @@ def test_metadata_yaml_has_the_keys_of_version_9_in_rosbag2s_order(bag, cloud_sc
             "message_count": 200,
         }
     ]
-    assert loaded["custom_data"] == {"seed": "7", "parameters": "a: 1\nb: [x, y]\n", "ending": "completed"}
+    assert loaded["custom_data"] == {"seed": "7", "parameters": "a: 1\nb: [x, y]\n", "ending": "complete"}
 
 
 def test_a_bag_without_messages_is_valid(tmp_path, string_schema):
@@ -246,7 +246,7 @@ def test_a_message_is_on_disk_after_flush_and_by_itself_after_the_interval(tmp_p
         writer.flush()
         sizes.append((tmp_path / "run" / "run_0.mcap").stat().st_size)
         assert sizes[-1] == writer.bytes_written > sizes[-2]
-    writer.close("completed")
+    writer.close("complete")
 
 
 def test_a_type_without_definition_is_recorded_with_an_empty_one(tmp_path):
@@ -283,7 +283,7 @@ def test_bad_settings_are_refused_with_a_sentence_and_leave_nothing(tmp_path, op
 
 
 def test_a_bag_never_overwrites_anything(tmp_path):
-    BagWriter(tmp_path / "run").close("completed")
+    BagWriter(tmp_path / "run").close("complete")
     with pytest.raises(RecordingError, match="exists already and is not empty"):
         BagWriter(tmp_path / "run")
 
@@ -300,12 +300,12 @@ def test_times_outside_rosbag2s_range_are_refused(tmp_path, string_schema, time)
 def test_a_closed_bag_takes_nothing_more_and_closing_again_is_harmless(tmp_path, string_schema):
     writer = BagWriter(tmp_path / "run")
     handle = writer.add_topic("/text", string_schema.type_name, schema=string_schema)
-    writer.close("completed")
+    writer.close("complete")
     writer.close("again")
     writer.flush()
     with pytest.raises(RecordingError, match="is closed"):
         writer.write(handle, b"", T0, T0)
-    assert Bag(tmp_path / "run").ending == "completed"
+    assert Bag(tmp_path / "run").ending == "complete"
 
 
 def test_no_bag_is_started_where_the_reserve_does_not_fit_on_the_disk(tmp_path):

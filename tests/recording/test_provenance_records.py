@@ -62,7 +62,7 @@ def test_facts_that_came_late_survive_a_kill(tmp_path):
     saved = Bag(tmp_path / "out")
     assert (saved.custom_data["seed"], saved.custom_data["preset"]) == ("7", "yavuz_sen_2023")
     assert saved.ending == "aborted: the recording was not closed; recovered"
-    writer.close("completed")
+    writer.close("complete")
 
 
 def test_numbers_of_messages_go_on_over_the_files_of_a_bag(split_bag):
