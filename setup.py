@@ -65,7 +65,15 @@ setup(
         ],
         # `squeal-rig bag export` to Parquet and HDF5, and the readers for notebooks.
         "export": ["h5py>=3.10", "pandas>=2.1", "pyarrow>=14.0"],
-        "test": ["h5py>=3.10", "hypothesis>=6.100", "pandas>=2.1", "pyarrow>=14.0", "pytest>=8.0", "rosbags>=0.10.11"],
+        "test": [
+            "h5py>=3.10",
+            "hypothesis>=6.100",
+            "pandas>=2.1",
+            "pyarrow>=14.0",
+            "pytest>=8.0",
+            "pytest-xdist>=3.5",
+            "rosbags>=0.10.11",
+        ],
         # Peers of the benchmarks. numbalsoda builds with gfortran; without it `make bench` goes on and says so.
         "bench": ["diffrax>=0.6", "jax>=0.4.30"],
         # Pinned to a minor version: another one may format or judge the same code differently.

@@ -14,9 +14,10 @@ import numpy as np
 
 from benchmarks.case import CASE, RATE, START, best_time
 from squeal_rig.model import Motion, RigParameters, simulate_many, stability_map
+from squeal_rig.model.cubic import TERMS
 from squeal_rig.model.dynamics import Vector, pack
 from squeal_rig.model.exact import empty_flow
-from squeal_rig.model.propagator import IN_CONTACT, STEP_MATRIX, propagators
+from squeal_rig.model.propagator import OFF_BELT, propagators
 
 SECONDS = 2.0
 
@@ -53,7 +54,8 @@ def propagation_speed() -> float:
     flow, block = empty_flow(), np.empty((512, 6))
     quiet = CASE.replace(preload=20.0)
     propagators(pack(quiet), 1.0 / RATE, flow)
-    drift, matrix = flow[IN_CONTACT : IN_CONTACT + 4], flow[STEP_MATRIX : STEP_MATRIX + 16]
+    linear = flow[:OFF_BELT].reshape(TERMS, -1)[:5, :4]
+    drift, matrix = linear[0].copy(), linear[1:].T.ravel()
     state, blocks = START.copy(), int(SECONDS * RATE / len(block))
 
     def run() -> None:

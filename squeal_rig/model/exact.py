@@ -1,14 +1,19 @@
-"""The exact engine: linear part by matrix exponentials, arm rotation by quadrature, contact events to rounding.
+"""The exact engine: polynomial maps between samples, contact events to rounding.
 
-A plain step (`advance`) is equation (P) of squeal_rig.model.propagator. It is taken only where it is proven:
+Plain steps (`_glide`) are the maps of squeal_rig.model.propagator, four at a time. A step is taken only where it is
+proven:
 - the arms' rotation lies in its small range (|x|, |y| <= NEAR at both ends; NaN fails this too);
-- the pad cannot meet or leave the belt within the step: |y(s) - chord| <= h^2/8 max|y''|, and a bound of |y''|
-  comes with the propagators, so a start and an end further than that from L_pre exclude any crossing, double ones
-  included.
-Every other step is careful (`careful_step`): Taylor series of the full nonlinear equations, to the first zero of
-y - L_pre (or of V - vx where friction sees |V - vx|), from there in the other mode, and so on to the end of the
-step, in pieces no longer than the series is exact to rounding. So far motions and slip friction are slower, never
-wrong.
+- the pad cannot meet or leave the belt within the step: |y(s) - chord| <= h^2/8 max|y''|, so a start and an end
+  further than that from L_pre exclude any crossing, double ones included. A bound of max|y''| for the whole small range
+  decides nearly always; one for the state at hand decides where the pad is close to the edge.
+Every other step is careful (`careful_step`): Taylor series (squeal_rig.model.near in the small range, else the full
+nonlinear equations of squeal_rig.model.series) to the first zero of y - L_pre (or of V - vx where friction sees
+|V - vx|), from there in the other mode, and so on to the end of the step, in pieces no longer than the series is exact
+to rounding. So far motions and slip friction are slower, never wrong.
+
+The maps are evaluated anew at each fourth step, counted on through all blocks, and after each event. So blocks of any
+length give the bits of one run, and so does a state of which a new run starts after a multiple of four steps; after
+another number the same to rounding.
 """
 
 from __future__ import annotations
@@ -16,6 +21,7 @@ from __future__ import annotations
 import numpy as np
 
 from squeal_rig.errors import ModelError
+from squeal_rig.model.cubic import evaluate_all
 from squeal_rig.model.dynamics import (
     K_C,
     L_PRE,
@@ -30,16 +36,19 @@ from squeal_rig.model.dynamics import (
 from squeal_rig.model.kernel import fused_kernel, inlined_kernel
 from squeal_rig.model.near import NEAR_ORDER, evaluate_near, expand_near, first_zero_near
 from squeal_rig.model.propagator import (
+    AHEAD,
+    ALL_PASSED,
     BOUND,
-    DRIFT,
+    CONTACT_LIMITS,
     FLOW_SIZE,
     GX,
-    GY,
-    IN_CONTACT,
     NEAR,
-    NODES,
     OFF_BELT,
+    OFF_BELT_LIMITS,
+    PASSED,
+    PATH,
     STEP,
+    STEPS,
     TUBE,
 )
 from squeal_rig.model.series import (
@@ -64,6 +73,7 @@ TALLY_SIZE = 4
 #: How a block ended.
 DONE, NOT_FINITE, STUCK = 0, 1, 2
 
+_CACHE_LINE = 8  # numbers in it
 # Beyond the near range; rate times step is at most 0.25, faster changes shorten the step.
 _FULL_ORDER, _FULL_ARM_ORDER = 14, 12
 _MAX_PIECES = 100_000
@@ -77,8 +87,10 @@ def workspace() -> Vector:
 
 
 def empty_flow() -> Vector:
-    """Room for the propagators of one set of parameters."""
-    return np.zeros(FLOW_SIZE)
+    """Room for the propagators of one set of parameters, from the start of a cache line on: vector loads are faster."""
+    room = np.zeros(FLOW_SIZE + _CACHE_LINE)
+    first = -(room.ctypes.data // room.itemsize) % _CACHE_LINE
+    return room[first : first + FLOW_SIZE]
 
 
 def refuse_unless_done(ended: int, time: float) -> None:
@@ -200,92 +212,79 @@ def _count_event(vy: float, time: float, tally: Vector, events: Vector) -> None:
     tally[EVENTS] += 1.0
 
 
+@inlined_kernel
+def _cannot_cross(
+    x: float, y: float, vx: float, vy: float, next_y: float, edge: float, contact: bool, h: float, limits: Vector
+) -> bool:
+    """Whether both ends of a step are on the mode's side of the edge, further than y can be from its chord."""
+    bound = limits[BOUND] + limits[BOUND + 1] * abs(x) + limits[BOUND + 2] * abs(y)
+    bound += limits[BOUND + 3] * abs(vx) + limits[BOUND + 4] * abs(vy)
+    room = min(abs(y - edge), abs(next_y - edge))
+    return bool(room > 0.125 * h * h * bound and (next_y < edge) == contact)
+
+
+@inlined_kernel
+def _first_not_passed(state: Vector, flow: Vector) -> int:
+    """Where in the path kept from the last block the next state begins; at its end where it does not lead on."""
+    k = int(flow[PASSED])
+    for i in range(4):
+        # A state that somebody changed meanwhile is on no path. At 0 there is nothing to compare with.
+        if k < 4 or flow[PATH + k - 4 + i] != state[i]:
+            return ALL_PASSED
+    return k
+
+
 @fused_kernel
 def _glide(
-    state: Vector, q: Vector, flow: Vector, contact: bool, substeps: int, first: int, steps: int, out: Vector
+    state: Vector,
+    q: Vector,
+    flow: Vector,
+    contact: bool,
+    substeps: int,
+    first: int,
+    steps: int,
+    out: Vector,
 ) -> int:
-    """Plain steps from number `first` on, as long as they are proven and up to `steps`; samples on the way go to `out`.
+    """Plain steps from number `first` on, up to `steps` or the first that is not proven; samples on the way to `out`.
 
     Returns the number of the step not taken; `state` is its start, and already in `out` where it is a sample.
     """
-    m = flow[IN_CONTACT:OFF_BELT] if contact else flow[OFF_BELT:GX]
-    stiffness, edge, mu = q[K_C], q[L_PRE], q[MU]
+    path, m = flow[PATH:PASSED], flow[:OFF_BELT] if contact else flow[OFF_BELT:CONTACT_LIMITS]
+    limits = flow[CONTACT_LIMITS:OFF_BELT_LIMITS] if contact else flow[OFF_BELT_LIMITS:GX]
+    stiffness, edge, mu, h, tube = q[K_C], q[L_PRE], q[MU], flow[STEP], limits[TUBE]
     slips = q[SLIP_SPEED] > 0.0 or q[SLIP_DIRECTION] > 0.0
     near = -1.0 if slips else flow[NEAR]
-    low, high = (-near, min(near, edge - m[TUBE])) if contact else (max(-near, edge + m[TUBE]), near)
-    h = flow[STEP]
-    g0, g1, g2, g3, g4, g5, g6 = (
-        flow[GX],
-        flow[GX + 1],
-        flow[GX + 2],
-        flow[GX + 3],
-        flow[GX + 4],
-        flow[GX + 5],
-        flow[GX + 6],
-    )
-    k0, k1, k2, k3, k4, k5, k6 = (
-        flow[GY],
-        flow[GY + 1],
-        flow[GY + 2],
-        flow[GY + 3],
-        flow[GY + 4],
-        flow[GY + 5],
-        flow[GY + 6],
-    )
+    low, high = (-near, min(near, edge - tube)) if contact else (max(-near, edge + tube), near)
     x, y, vx, vy = state[0], state[1], state[2], state[3]
     clear = low < y < high and abs(x) < near
-    i = first // substeps
-    j = first - i * substeps
-    n = first
-    while n < steps:
-        if j == 0:
+    sample = first // substeps
+    past_sample = first - sample * substeps
+    before = int(flow[STEPS])
+    k = _first_not_passed(state, flow)
+    flow[PASSED] = ALL_PASSED
+    for n in range(first, steps):
+        if k == ALL_PASSED or (n + before) & (AHEAD - 1) == 0:
+            evaluate_all(m, x, y, vx, vy, path)
+            k = 0
+        if past_sample == 0:
             normal = stiffness * max(0.0, edge - y)
-            out[i, 0], out[i, 1], out[i, 2], out[i, 3] = x, y, vx, vy
-            out[i, 4], out[i, 5] = normal, (friction_ratio(vx, q) if slips else mu) * normal
-        x_1 = m[NODES] + m[NODES + 2] * x + m[NODES + 3] * y + (m[NODES + 4] * vx + m[NODES + 5] * vy)
-        y_1 = m[NODES + 1] + m[NODES + 6] * x + m[NODES + 7] * y + (m[NODES + 8] * vx + m[NODES + 9] * vy)
-        x_2 = m[NODES + 10] + m[NODES + 12] * x + m[NODES + 13] * y + (m[NODES + 14] * vx + m[NODES + 15] * vy)
-        y_2 = m[NODES + 11] + m[NODES + 16] * x + m[NODES + 17] * y + (m[NODES + 18] * vx + m[NODES + 19] * vy)
-        x_3 = m[NODES + 20] + m[NODES + 22] * x + m[NODES + 23] * y + (m[NODES + 24] * vx + m[NODES + 25] * vy)
-        y_3 = m[NODES + 21] + m[NODES + 26] * x + m[NODES + 27] * y + (m[NODES + 28] * vx + m[NODES + 29] * vy)
-        xx, xy, yy = x_1 * x_1, x_1 * y_1, y_1 * y_1
-        gx_1 = xx * (g0 + g3 * x_1 + g4 * y_1) + xy * g1 + yy * (g2 + g5 * x_1 + g6 * y_1)
-        gy_1 = xx * (k0 + k3 * x_1 + k4 * y_1) + xy * k1 + yy * (k2 + k5 * x_1 + k6 * y_1)
-        xx, xy, yy = x_2 * x_2, x_2 * y_2, y_2 * y_2
-        gx_2 = xx * (g0 + g3 * x_2 + g4 * y_2) + xy * g1 + yy * (g2 + g5 * x_2 + g6 * y_2)
-        gy_2 = xx * (k0 + k3 * x_2 + k4 * y_2) + xy * k1 + yy * (k2 + k5 * x_2 + k6 * y_2)
-        xx, xy, yy = x_3 * x_3, x_3 * y_3, y_3 * y_3
-        gx_3 = xx * (g0 + g3 * x_3 + g4 * y_3) + xy * g1 + yy * (g2 + g5 * x_3 + g6 * y_3)
-        gy_3 = xx * (k0 + k3 * x_3 + k4 * y_3) + xy * k1 + yy * (k2 + k5 * x_3 + k6 * y_3)
-        x_4 = m[DRIFT] + m[4] * x + m[5] * y + (m[6] * vx + m[7] * vy)
-        y_4 = m[DRIFT + 1] + m[8] * x + m[9] * y + (m[10] * vx + m[11] * vy)
-        vx_4 = m[DRIFT + 2] + m[12] * x + m[13] * y + (m[14] * vx + m[15] * vy)
-        vy_4 = m[DRIFT + 3] + m[16] * x + m[17] * y + (m[18] * vx + m[19] * vy)
-        x_4 += (m[50] * gx_1 + m[51] * gy_1 + m[58] * gx_2) + (m[59] * gy_2 + m[66] * gx_3 + m[67] * gy_3)
-        y_4 += (m[52] * gx_1 + m[53] * gy_1 + m[60] * gx_2) + (m[61] * gy_2 + m[68] * gx_3 + m[69] * gy_3)
-        vx_4 += (m[54] * gx_1 + m[55] * gy_1 + m[62] * gx_2) + (m[63] * gy_2 + m[70] * gx_3 + m[71] * gy_3)
-        vy_4 += (m[56] * gx_1 + m[57] * gy_1 + m[64] * gx_2) + (m[65] * gy_2 + m[72] * gx_3 + m[73] * gy_3)
-        clear_4 = low < y_4 < high and abs(x_4) < near
-        if not (clear and clear_4):
-            bound = (
-                m[BOUND]
-                + m[BOUND + 1] * abs(x)
-                + m[BOUND + 2] * abs(y)
-                + m[BOUND + 3] * abs(vx)
-                + m[BOUND + 4] * abs(vy)
-            )
-            room = min(abs(y - edge), abs(y_4 - edge))
-            reach = max(abs(x), abs(y), abs(x_4), abs(y_4))
-            if not (room > 0.125 * h * h * bound and reach <= near and (y_4 < edge) == contact):
-                break
-        clear = clear_4
-        x, y, vx, vy = x_4, y_4, vx_4, vy_4
-        n += 1
-        j += 1
-        if j == substeps:
-            i, j = i + 1, 0
+            out[sample, 0], out[sample, 1], out[sample, 2], out[sample, 3] = x, y, vx, vy
+            out[sample, 4], out[sample, 5] = normal, (friction_ratio(vx, q) if slips else mu) * normal
+        next_x, next_y = path[k], path[k + 1]
+        next_clear = low < next_y < high and abs(next_x) < near
+        if not (clear and next_clear):
+            reach = max(abs(x), abs(y), abs(next_x), abs(next_y))
+            if not (reach <= near and _cannot_cross(x, y, vx, vy, next_y, edge, contact, h, limits)):
+                state[0], state[1], state[2], state[3] = x, y, vx, vy
+                return n
+        clear = next_clear
+        x, y, vx, vy = next_x, next_y, path[k + 2], path[k + 3]
+        k, past_sample = k + 4, past_sample + 1
+        if past_sample == substeps:
+            sample, past_sample = sample + 1, 0
     state[0], state[1], state[2], state[3] = x, y, vx, vy
-    return n
+    flow[PASSED] = k
+    return steps
 
 
 @fused_kernel
@@ -305,7 +304,7 @@ def advance(
     Args:
         state: x, y, vx, vy [m, m/s].
         q: packed parameters.
-        flow: their propagators over one step.
+        flow: their propagators.
         substeps: steps per output interval.
         w: workspace.
         tally: contact time [s], separations and events are added up in it; event times in a block start at 0.
@@ -329,6 +328,7 @@ def advance(
         if ended != DONE:
             return ended, (step - 1) // substeps + 1
         contact = is_in_contact(state, q)
+    flow[STEPS] = (int(flow[STEPS]) + steps) % AHEAD
     if contact:
         tally[CONTACT_TIME] += steps * h - tally[SINCE]
     return DONE, out.shape[0]

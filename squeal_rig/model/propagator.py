@@ -1,4 +1,4 @@
-"""Exact propagators of the linear part of Eq. (2.3) over one step, in contact and off the belt.
+"""The flow of Eq. (2.3) over one to four steps, in contact and off the belt, as polynomials of the state.
 
 With z = (x, y, vx, vy) and the mode's linear part split off, Eq. (2.3) reads z' = A z + b + B g(r):
 
@@ -9,8 +9,9 @@ and variation of constants gives, exactly,
 
     z(h) = e^{Ah} z(0) + int_0^h e^{As} b ds + int_0^h e^{A(h-s)} B g(r(s)) ds.                                  (P)
 
-The first two terms are matrices, computed here once per set of parameters. In the last one r(s) is the linear path
-(one Picard sweep) at the three Gauss-Legendre nodes, whose weights w_i h e^{A(h - s_i)} B are computed here as well.
+In the last term r(s) is the linear path (one Picard sweep), which is linear in z(0), and g a polynomial of degree 3: so
+z(h) is a polynomial of degree 3 in z(0). Its coefficients are computed here once per set of parameters, the integral by
+three Gauss-Legendre nodes; those of 2 to 4 steps by putting the map into itself.
 
 The arm's force in powers of r/L follows from the generating function of the Legendre polynomials P_n:
 L/l - 1 = sum_n (r/L)^n P_n(cos psi), psi the angle between r and the arm's axis n, so the force k (L/l - 1)(r - a)
@@ -19,12 +20,15 @@ has at order n >= 2 the part k L (r/L)^n [P_{n-1} r/|r| - P_n n], never longer t
 
 Error of one step, relative to r, with theta = h^2 sum k_i/(m L_i) r:
 - orders 4 and up:       h^2/2 sum 2 k_i/m (r/L_i)^3
-- one Picard sweep:      |g| <= 2 sum k_i/m r^2/L_i moves the path by theta r at most, and |dg/dr| <= 6 sum k_i/m
-  r/L_i acts on that for a mean of h^2/12: theta^2/2
-- Gauss-Legendre, 3 nodes: h^7/2016000 times a sixth derivative, (2 omega h)^6/2e6 theta <= 1e-8 theta
-`NEAR` is the r up to which the first two sum to `NEAR_ERROR` at most; beyond it the engine takes Taylor steps of
-the full nonlinear equations (squeal_rig.model.series). The bound is a worst case: at the preset a step loses below
-1e-13.
+- one Picard sweep:      |P_1 r/|r| - P_2 n|^2 = sin^2 psi (1 + 3 cos^2 psi)/4 <= 1/3, so |g_2| <= 0.58 sum k_i/(m L_i)
+  r^2 moves the path by 0.29 theta r at most; g_2 is the gradient of a cubic form, so |dg_2/dr| <= 2 max|g_2|/r, which
+  acts on that for a mean of h^2/12: 0.03 theta^2
+- Gauss-Legendre, 3 nodes: h^7/2016000 times a sixth derivative, (3 omega h)^6/2e6 theta <= 1e-7 theta
+- composition:           of n steps the quadratic part is at most 0.29 n^2 theta r, the cubic one 0.25 n^2 theta r^2/L;
+  dropped are products of the two and quadratic parts of quadratic parts: 4 theta^2 r/L + 3 theta^3 at n = 3
+Up to r = `NEAR` the first is half of `NEAR_ERROR`, theta^2 at most `NEAR_ERROR` and r/L 0.01: together less than
+`NEAR_ERROR`. Beyond it the engine takes Taylor steps of the full nonlinear equations (squeal_rig.model.series). The
+bound is a worst case: at the preset a step loses below 1e-13.
 """
 
 from __future__ import annotations
@@ -33,6 +37,7 @@ import math
 
 import numpy as np
 
+from squeal_rig.model.cubic import TERMS, compose, multiply_linear
 from squeal_rig.model.dynamics import (
     A1X,
     A1Y,
@@ -61,17 +66,22 @@ NEAR_ERROR = 1e-11
 #: order 11.
 RATE_TIMES_STEP = 0.25
 
-# Layout of the propagators of one mode, from its offset on.
-IN_CONTACT, OFF_BELT = 0, 80
-DRIFT, STEP_MATRIX = 0, 4  # int e^{As} b ds (4,) and e^{Ah} (4, 4), row by row
-NODES, NODE_SIZE = 20, 10  # at each node: drift of (x, y), then the rows x and y of e^{As}
-WEIGHTS, WEIGHT_SIZE = 50, 8  # of each node: (4, 2), row by row
-BOUND = 74  # |y''| in the step is at most BOUND . (1, |x|, |y|, |vx|, |vy|)
-TUBE = 79  # how far y can be from its chord within a step whose ends are in the near range
+#: Samples that one evaluation of the maps reaches.
+AHEAD = 4
+# Layout: the maps of one mode, (35, 16) row by row: coefficients of cubic.py by x, y, vx, vy after 1 to 4 steps.
+IN_CONTACT, OFF_BELT = 0, 560
+# Limits of a step, in contact and off the belt: |y''| in it is at most BOUND . (1, |x|, |y|, |vx|, |vy|), and y leaves
+# its chord by no more than TUBE where both ends are in the near range.
+CONTACT_LIMITS, OFF_BELT_LIMITS = 1120, 1126
+BOUND, TUBE = 0, 5
 # What both modes share.
-GX, GY = 160, 167  # coefficients of xx, xy, yy, xxx, xxy, xyy, yyy in g
-NEAR, STEP, K_AA, K_AB, K_BB = 174, 175, 176, 177, 178  # stiffness of arms and clips per mass
-FLOW_SIZE = 179
+GX, GY = 1132, 1139  # coefficients of xx, xy, yy, xxx, xxy, xyy, yyy in g
+NEAR, STEP, K_AA, K_AB, K_BB = 1146, 1147, 1148, 1149, 1150  # stiffness of arms and clips per mass
+# What goes on from block to block, and is worth nothing under other parameters: the maps' last values, the states after
+# the next four steps; where the first not yet passed begins, ALL_PASSED where there is none; and steps taken, modulo 4.
+PATH, PASSED, STEPS = 1152, 1168, 1169
+ALL_PASSED = 16
+FLOW_SIZE = 1170
 
 _TERMS = 16
 _ROOT = math.sqrt(0.6)
@@ -98,7 +108,8 @@ def substeps_needed(q: Vector, interval: float, longest: float) -> int:
 
 @kernel
 def propagators(q: Vector, h: float, flow: Vector) -> None:
-    """Fill `flow` (179,) for the packed parameters `q` and the step h [s]."""
+    """Fill `flow` (`FLOW_SIZE`,) for the packed parameters `q` and the step h [s]."""
+    flow[PASSED], flow[STEPS] = ALL_PASSED, 0.0
     _shared(q, h, flow)
     for contact in (True, False):
         _mode(q, h, contact, flow)
@@ -143,9 +154,7 @@ def _arm_polynomial(second: float, third: float, c: float, s: float, out: Vector
 
 @kernel
 def _mode(q: Vector, h: float, contact: bool, flow: Vector) -> None:
-    """The propagators of one mode: e^{As} and the drift by their Taylor series, which end in rounding
-    (RATE_TIMES_STEP).
-    """
+    """Maps and limits of one mode: one step by (P), the others by composition."""
     m = q[MASS]
     a, b = np.zeros((4, 4)), np.zeros(4)
     a[0, 2] = a[1, 3] = 1.0
@@ -157,27 +166,53 @@ def _mode(q: Vector, h: float, contact: bool, flow: Vector) -> None:
         a[3, 1] -= q[K_C] / m
         b[2] += q[MU] * q[K_C] * q[L_PRE] / m
         b[3] += q[K_C] * q[L_PRE] / m
+    maps, room = np.empty((AHEAD, 4, TERMS)), np.empty((7, TERMS))
+    _one_step(a, b, h, flow[GX : GX + 7], flow[GY : GY + 7], maps[0], room)
+    for n in range(1, AHEAD):
+        compose(maps[0], maps[n - 1], maps[n], room)
     o = IN_CONTACT if contact else OFF_BELT
-    whole, drift = _exponential(a, b, h)
-    flow[o + DRIFT : o + DRIFT + 4] = drift
-    for i in range(4):
-        for j in range(4):
-            flow[o + STEP_MATRIX + 4 * i + j] = whole[i, j]
-    nodes = (_NODE_1, _NODE_2, _NODE_3)
-    shares = (5.0 / 18.0, 8.0 / 18.0, 5.0 / 18.0)
-    for n in range(3):
-        part, drift = _exponential(a, b, nodes[n] * h)
-        base = o + NODES + NODE_SIZE * n
-        flow[base : base + 2] = drift[:2]
-        for j in range(4):
-            flow[base + 2 + j], flow[base + 6 + j] = part[0, j], part[1, j]
-        # The nodes are symmetric: what is left after node n is the time of node 2 - n.
-        base = o + WEIGHTS + WEIGHT_SIZE * (2 - n)
-        for i in range(4):
-            flow[base + 2 * i] = shares[n] * h * part[i, 2]
-            flow[base + 2 * i + 1] = shares[n] * h * part[i, 3]
+    for t in range(TERMS):
+        for n in range(AHEAD):
+            for i in range(4):
+                flow[o + 4 * AHEAD * t + 4 * n + i] = maps[n, i, t]
+    o = CONTACT_LIMITS if contact else OFF_BELT_LIMITS
     _acceleration_bound(q, a, b, h, flow[o + BOUND : o + BOUND + 5], flow[NEAR])
     flow[o + TUBE] = _tube(a, b, q, h, flow[NEAR])
+
+
+@kernel
+def _one_step(a: Vector, b: Vector, h: float, gx: Vector, gy: Vector, out: Vector, room: Vector) -> None:
+    """Equation (P) as four polynomials of degree 3 in z(0), `out` (4, 35); `room` (7, 35)."""
+    out[:] = 0.0
+    whole, drift = _exponential(a, b, h)
+    out[:, 0] = drift
+    out[:, 1:5] = whole
+    shares = (5.0 / 18.0, 8.0 / 18.0, 5.0 / 18.0)
+    for n, node in enumerate((_NODE_1, _NODE_2, _NODE_3)):
+        part, drift = _exponential(a, b, node * h)
+        rest, _ = _exponential(a, b, (1.0 - node) * h)
+        room[:] = 0.0
+        for i in range(2):
+            room[i, 0] = drift[i]
+            room[i, 1:5] = part[i]
+        multiply_linear(room[0], room[0], room[2])
+        multiply_linear(room[0], room[1], room[3])
+        multiply_linear(room[1], room[1], room[4])
+        for axis, c in enumerate((gx, gy)):
+            _add_monomials(c, room)
+            for i in range(4):
+                out[i] += shares[n] * h * rest[i, 2 + axis] * room[6]
+
+
+@kernel
+def _add_monomials(c: Vector, room: Vector) -> None:
+    """g of the polynomials x, y, xx, xy, yy in `room[:5]` into `room[6]`."""
+    x, y, xx, xy, yy, factor, g = room
+    g[:] = c[0] * xx + c[1] * xy + c[2] * yy
+    for square, along_x, along_y in ((xx, c[3], c[4]), (yy, c[5], c[6])):
+        factor_of = along_x * x + along_y * y
+        multiply_linear(factor_of, square, factor)
+        g += factor
 
 
 @kernel
@@ -232,5 +267,4 @@ def _tube(a: Vector, b: Vector, q: Vector, h: float, near: float) -> float:
     own = 0.125 * h * h * k + h * c
     if not own < 1.0:
         return math.inf
-    bound: float = 0.125 * h * h * 1.05 * ((k + 2.0 * c / h) * near + rest) / (1.0 - own)
-    return bound
+    return float(0.125 * h * h * 1.05 * ((k + 2.0 * c / h) * near + rest) / (1.0 - own))

@@ -81,7 +81,7 @@ class Motion:
         return np.array(self._state)
 
     def set_parameters(self, p: RigParameters) -> None:
-        """Take new parameters from the next block on; the exact engine's propagators cost some 0.03 ms."""
+        """Take new parameters from the next block on; the exact engine's propagators cost some 0.05 ms."""
         self.parameters = p
         self._packed = pack(p)
         if self._engine == "rk4":

@@ -15,7 +15,7 @@ ROOT = Path(squeal_rig.__file__).parents[1]
 
 LIST_KERNELS = """
 import sys
-import squeal_rig.model
+import squeal_rig.model.ensemble, squeal_rig.model.maps, squeal_rig.model.trajectory
 from numba.core.dispatcher import Dispatcher
 kernels = {}
 for name, module in list(sys.modules.items()):

@@ -83,6 +83,19 @@ def test_blocks_give_the_bits_of_one_run():
     np.testing.assert_array_equal(parts, whole)
 
 
+@pytest.mark.parametrize("count", [1, 2, 3, 101])
+def test_a_state_goes_on_as_the_run_it_was_taken_from_to_rounding(count):
+    whole, part = np.empty((600, 6)), np.empty((count, 6))
+    motion = Motion(SQUEALING, RATE, displaced_state(SQUEALING, 3.0))
+    motion.advance(part)
+    start = motion.state
+    motion.advance(whole)
+    rest = np.empty((600, 6))
+    Motion(SQUEALING, RATE, start).advance(rest)
+    # Rounding, 1e-16 a step, amplified as in all this motion.
+    assert largest_error(rest, whole) < 1e-12
+
+
 def test_two_crossings_within_one_sample_are_both_found():
     # A slow sampling sees the pad on the belt at both ends of many intervals in which it left and returned.
     start = displaced_state(SQUEALING, 3.0)
