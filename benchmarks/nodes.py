@@ -198,7 +198,8 @@ From the time the last sample of a window was taken to the arrival of its `frict
 ### Start of a node
 
 From the start of the process to its first block: {due:.2f} s (median of {STARTS}, worst \
-{max(time[0] for time in starts):.2f} s), received by a subscriber already there after {came:.2f} s (worst \
+{max(time[0] for time in starts):.2f} s),
+received by a subscriber already there after {came:.2f} s (worst \
 {max(time[1] for time in starts):.2f} s; the rest is discovery).
 The first start ever, with everything to compile: {first:.1f} s.
 """
