@@ -16,6 +16,7 @@ app = typer.Typer(
     add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,  # units stand in brackets, which are no markup
     help="A virtual test rig for brake squeal: run it, record it, analyse it.",
 )
 console = Console()
@@ -108,7 +109,9 @@ def check(
     console.print(f"{file}: {check_file(file)}, all in order")
 
 
-bag_app = typer.Typer(no_args_is_help=True, help="Look into bags, check them, save them, cut, merge, export.")
+bag_app = typer.Typer(
+    no_args_is_help=True, rich_markup_mode=None, help="Look into bags, check them, save them, cut, merge, export."
+)
 app.add_typer(bag_app, name="bag")
 
 OutArgument = Annotated[Path, typer.Argument(help="New folder for the bag that is written.", metavar="OUT_DIR")]

@@ -120,12 +120,13 @@ def _start(options: SessionOptions, nodes: list[NodeProcess], logs: Path, graph:
         files = [*files, "-p", "use_sim_time:=true"]
     for name in CONSUMERS:
         nodes.append(NodeProcess(name, logs, files))
-    if options.bag is not None:
-        nodes.append(NodeProcess("recorder", logs, [*files, "-p", f"directory:={options.bag}"]))
     # The rig itself makes the clock, so it does not follow it.
     nodes.append(NodeProcess("simulator", logs, [*files, "-p", "use_sim_time:=false", "-p", "autostart:=false"]))
-    listeners = len(nodes)  # all but the simulator, and ourselves
     graph.transition(Transition.TRANSITION_CONFIGURE, _START_TIMEOUT)
+    # The recorder comes last, so that its bag begins about when the run does, not while code is compiled.
+    if options.bag is not None:
+        nodes.append(NodeProcess("recorder", logs, [*files, "-p", f"directory:={options.bag}"]))
+    listeners = len(nodes)  # all but the simulator, and ourselves
     graph.wait_for(lambda: graph.listeners(_SAMPLE_TOPIC) >= listeners, "all nodes listening", _START_TIMEOUT)
     graph.spin(_MATCHING)
     graph.transition(Transition.TRANSITION_ACTIVATE, _START_TIMEOUT)

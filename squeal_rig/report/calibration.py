@@ -42,6 +42,8 @@ def run_calibration(path: Path, free: Sequence[str], effort: Effort, out: Path, 
         problem = problem.with_free(free)
     if not out.parent.is_dir():
         raise ConfigurationError(f"cannot write {out}: there is no folder {out.parent}")
+    if out.exists():
+        raise ConfigurationError(f"{out} exists already: name another file with --out, or remove it")
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("calibrating", total=None)
@@ -61,6 +63,10 @@ def run_calibration(path: Path, free: Sequence[str], effort: Effort, out: Path, 
         console.print(line, markup=False, highlight=False, soft_wrap=True)
     if found.missing:
         console.print(f"{found.missing} roots that the targets ask for do not exist: none is reported in their place")
+    if found.outside > 0.0:
+        console.print(
+            f"[bold]demands or limits of the calibration are broken by {found.outside:.3g}[/bold]: search longer"
+        )
     chosen = f" --free {','.join(free)}" if free else ""
     asked = f"--seed {effort.seed} --starts {effort.starts}"
     asked += f" --generations {effort.generations}" if effort.generations != GENERATIONS else ""

@@ -21,7 +21,7 @@ from squeal_rig.model.declared import declarations
 from squeal_rig.recording import Bag, BagWriter, cdr_from_samples, provenance
 from squeal_rig.recording.cdr import float64_message, multi_array_message
 from squeal_rig.recording.parameter_log import AT_START, parameters_of
-from squeal_rig.report.bag_samples import DAQ, BlockJoiner, RecordedBlock
+from squeal_rig.report.bag_samples import DAQ, DESCRIPTION, BlockJoiner, RecordedBlock
 from squeal_rig.report.estimate_output import EstimateOutput
 from squeal_rig.report.estimate_stability import OfflineStability
 
@@ -59,6 +59,8 @@ def estimate_bag(source: str | Path, directory: str | Path) -> EstimateReport:
     began = time.perf_counter()
     bag = Bag(source)
     joiner = BlockJoiner(bag)
+    if bag.topics[str(joiner.topics[DESCRIPTION])].message_count == 0:
+        raise RecordingError(f"{source} holds no message on {DESCRIPTION}: the rig's constants are not known")
     prefix = str(joiner.topics[DAQ])[: -len(DAQ)]
     facts = {f"source.{key}": value for key, value in bag.custom_data.items()}
     with BagWriter(directory, custom_data=provenance() | facts | {"estimated_from": bag.path.name}) as writer:

@@ -24,7 +24,7 @@ from squeal_rig.report.page import DataTable, Section, write_page
 
 #: Damping of the nonlinear runs [N s/m]: the paper has none, where nothing settles; Table 1 is also run without.
 DAMPING = 20.0
-_WITHIN = {"k_cr": 0.08, "frequency": 0.0856, "jump": 0.08, "contact loss": 0.1}
+_WITHIN = {"k_cr": 0.08, "frequency": 0.0856, "jump": 0.08}
 PAGE = "reproduction.html"
 
 Progress = Callable[[str], None]
@@ -192,7 +192,7 @@ def verdict_table(r: Results) -> DataTable:
         add(f"squeal frequency, linear, {k}", "Hz", t1.f_linear, line.f_linear, _WITHIN["frequency"])
         add(f"squeal frequency, nonlinear, {k}", "Hz", t1.f_nonlinear, line.f_nonlinear, _WITHIN["frequency"])
         loss = f"contact loss in {line.duration:g} s (the paper's length is not given), {k}"
-        add(loss, "s", t1.contact_loss_s, line.contact_loss_s, _WITHIN["contact loss"])
+        rows.append([loss, "s", t1.contact_loss_s, line.contact_loss_s, "", "no common length"])
     for case in r.spectra:
         same = AGREES if case.present == case.paper_present else DIFFERS
         what = f"super-harmonics, F = {case.preload:g} N, k = {case.stiffness / 1e7:g}e7 N/m (Fig. 10)"
@@ -204,8 +204,8 @@ def verdict_table(r: Results) -> DataTable:
         add(what, "N", curve.paper_jump, in_range, _WITHIN["jump"])
     columns = ("what", "unit", "paper", "rig", "difference", "verdict")
     within = (
-        f"agrees: within {_WITHIN['k_cr']:.0%} (k_cr, jumps), {_WITHIN['frequency']:.1%} (frequencies),"
-        f" {_WITHIN['contact loss']:.0%} (contact loss)"
+        f"A number agrees when it lies within {_WITHIN['k_cr']:.0%} (k_cr, jumps) or {_WITHIN['frequency']:.1%}"
+        " (frequencies) of the paper's."
     )
     return DataTable("every_number", within, columns, rows)
 
