@@ -11,8 +11,6 @@ import numba
 
 F = TypeVar("F", bound=Callable[..., object])
 
-#: Source files each kernel is compiled from, by the identity of the compiled function.
-_sources: dict[int, frozenset[str]] = {}
 _FUSED: dict[str, object] = {"fastmath": {"contract"}, "_nrt": False}
 
 
@@ -39,23 +37,22 @@ def inlined_kernel(function: F) -> F:
     return _compiled(function, **_FUSED, forceinline=True)
 
 
+def _digest_of_the_model() -> str:
+    """Digest of all sources of the model: any of them may be compiled into any kernel, a constant among them."""
+    contents = [path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py"))]
+    return hashlib.sha256(b"\0".join(contents)).hexdigest()[:12]
+
+
+_DIGEST = _digest_of_the_model()
+
+
 def _compiled(function: F, **more: object) -> F:
-    # numba compiles the kernels called into the caller, yet asks only the caller's own file whether cached
-    # code is still valid. The digest files code made from other sources under another name.
-    named = (function.__globals__.get(name) for name in function.__code__.co_names)
-    own = frozenset({function.__code__.co_filename})
-    sources = own.union(*(_sources.get(id(value), own) for value in named))
-    if sources != own:
-        function.__qualname__ += f"-{_digest(sources)}"
+    # Of cached code numba checks the age of the kernel's own file only, yet kernels and constants of other files are
+    # compiled into it. With the digest in its name, code made from other sources is never taken.
+    function.__qualname__ += f"-{_DIGEST}"
     options: dict[str, object] = {"nogil": True, "error_model": "numpy", **more}
     try:
         compiled = numba.njit(cache=True, **options)(function)
     except RuntimeError:  # neither beside the source nor in the user's cache can be written: compiled at each start
         compiled = numba.njit(**options)(function)
-    _sources[id(compiled)] = sources
     return cast(F, compiled)
-
-
-def _digest(sources: frozenset[str]) -> str:
-    contents = sorted(hashlib.sha256(Path(source).read_bytes()).digest() for source in sources)
-    return hashlib.sha256(b"".join(contents)).hexdigest()[:12]
