@@ -131,7 +131,7 @@ def test_a_snapshot_holds_the_last_seconds_on_request_and_on_squeal(children, cl
     for path in bag.files:
         alone = Bag(path)
         # The ring drops by whole messages, and one more tick may come before it is written.
-        assert 0.8 < alone.duration < 1.2
+        assert 0.5 < alone.duration < 1.5
         assert 50 <= alone.topics["/daq/samples"].message_count <= 115  # a busy machine makes fewer blocks
         assert alone.topics["/rig/description"].message_count == 1
 
