@@ -57,10 +57,10 @@ bench-bags: .venv/.ready
 	$(PY) tests/bags/measure_bags.py 600
 
 docs: .venv/.ready
-	$(PY) -m squeal_rig.experiments.parameter_table > docs/parameters.md
+	$(PY) -m squeal_rig.catalogue.parameter_table > docs/parameters.md
 
 evidence: .venv/.ready
-	$(PY) -m squeal_rig.report.calibration_evidence docs/evidence $(ARGS)
+	$(PY) -m squeal_rig.studies.inverse.evidence docs/evidence $(ARGS)
 
 clean:
 	rm -rf .venv build install log dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .import_linter_cache

@@ -24,10 +24,10 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
-from squeal_rig.nodes import qos
-from squeal_rig.nodes.conversions import status_values
-from squeal_rig.nodes.processes import NodeProcess, stop_all
+from squeal_rig.graph import qos
+from squeal_rig.graph.conversions import status_values
 from squeal_rig.recording import samples_from_cdr
+from squeal_rig.session.processes import NodeProcess, stop_all
 
 NS = 10**9
 BLOCK_NS = NS // 100

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.live import Blocks, Listener, RunningNode, environment
+from squeal_rig.configuration.files import config_directory
+from squeal_rig.graph.conversions import cloud
 from squeal_rig.instruments.acquisition import Acquisition
 from squeal_rig.instruments.settings import RigSettings
 from squeal_rig.instruments.virtual import VirtualRig
 from squeal_rig.model import RigParameters
-from squeal_rig.model.configuration import config_directory
-from squeal_rig.nodes.conversions import cloud
-from squeal_rig.nodes.session import private_domain
+from squeal_rig.session.run import private_domain
 
 RATES = (51_200, 102_400, 204_800, 400_000, 800_000, 1_000_000, 2_000_000)
 #: From here on a block does not fit into what Fast DDS shares with its readers by default [Hz].

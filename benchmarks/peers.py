@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 from benchmarks.case import CASE, DURATION, PACKED, RATE, START, TIMES, Point, best_time, error_of
 from squeal_rig.model import Motion
-from squeal_rig.model.dynamics import (
+from squeal_rig.model.core.dynamics import (
     A1X,
     A1Y,
     A2X,

@@ -38,10 +38,10 @@ def run(
     duration: Annotated[float | None, typer.Option(help="Longest run without a plan [s].", min=0.0)] = None,
 ) -> None:
     """Start the nodes as processes, show the rig live, end cleanly on Ctrl-C."""
-    from squeal_rig.experiments.checking import check_file
+    from squeal_rig.catalogue.checking import check_file
+    from squeal_rig.configuration.files import config_directory
     from squeal_rig.experiments.plan import load_plan
-    from squeal_rig.model.configuration import config_directory
-    from squeal_rig.nodes.session import SessionOptions, SignalWatch, run_session
+    from squeal_rig.session.run import SessionOptions, SignalWatch, run_session
 
     parameters = config or config_directory() / "rig.yaml"
     check_file(parameters)
@@ -60,7 +60,7 @@ def demo(
     bag: Annotated[Path | None, typer.Option(help="Bag to write; bags/<UTC stamp> by default.")] = None,
 ) -> None:
     """From quiet sliding into squeal: a scripted run of 20 s, its bag, its replay, its picture."""
-    from squeal_rig.nodes.demo import run_demo
+    from squeal_rig.session.demo import run_demo
 
     raise typer.Exit(run_demo(_new_bag(bag), console))
 
@@ -73,7 +73,7 @@ def analyse(
     ] = None,
 ) -> None:
     """Friction, squeal frequency against the eigenvalues, time off the belt: a table and a PNG."""
-    from squeal_rig.report.analysis import analyse_bag
+    from squeal_rig.analysis.segments import analyse_bag
     from squeal_rig.report.run_figure import draw_run
     from squeal_rig.report.tables import segment_table
 
@@ -92,7 +92,7 @@ def reproduce(
     preset: Annotated[str, typer.Option(help="Preset to compute from.")] = "yavuz_sen_2023",
 ) -> None:
     """Every result of the paper from the preset, beside the printed numbers: a page, pictures, tables."""
-    from squeal_rig.experiments.reproduction.run import run_reproduction
+    from squeal_rig.studies.reproduction.run import run_reproduction
 
     run_reproduction(preset, out, console)
 
@@ -104,7 +104,7 @@ def check(
     ],
 ) -> None:
     """Check a YAML file of ours; exit code 2 and one sentence when something is wrong with it."""
-    from squeal_rig.experiments.checking import check_file
+    from squeal_rig.catalogue.checking import check_file
 
     console.print(f"{file}: {check_file(file)}, all in order")
 
@@ -133,7 +133,7 @@ def calibrate(
     out: Annotated[Path, typer.Option(help="Preset to write.")] = Path("calibrated.yaml"),
 ) -> None:
     """Find a rig that meets thresholds, frequencies, contact loss or jumps; leaves a preset with its residuals."""
-    from squeal_rig.report.calibration import Effort, run_calibration
+    from squeal_rig.studies.inverse.calibrate import Effort, run_calibration
 
     run_calibration(targets, free.split(",") if free else [], Effort(seed, starts, generations), out, console)
 
@@ -208,7 +208,7 @@ def export(
     column: Annotated[list[str] | None, typer.Option(help="Column; may be given several times.")] = None,
 ) -> None:
     """Write the samples for other tools: one row a sample, units in the column's metadata."""
-    from squeal_rig.report.export import export_bag
+    from squeal_rig.samples.export import export_bag
 
     for file in export_bag(bag, to, out, topic or (), column or ()):
         console.print(f"{file.path}: {file.topic}, {file.rows} rows, {file.size / 1e6:.1f} MB", highlight=False)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from squeal_rig.configuration.declared import Declared, quantity
 from squeal_rig.errors import ParameterError
-from squeal_rig.model.declared import Declared, quantity
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,12 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from squeal_rig.configuration.declared import checked, declarations
 from squeal_rig.errors import ModelError
 from squeal_rig.instruments.description import RigDescription
-from squeal_rig.model.declared import checked, declarations
-from squeal_rig.model.friction import friction_coefficient
+from squeal_rig.model.core.friction import friction_coefficient
+from squeal_rig.model.linear.stability import stability_report
 from squeal_rig.model.parameters import RigParameters
-from squeal_rig.model.stability import stability_report
 from squeal_rig.recording.cdr import text_of
 
 #: While the operating point slews, what is in force is analysed at most this often [s].

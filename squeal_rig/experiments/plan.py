@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from squeal_rig.configuration.declared import checked, declarations, unknown_name
+from squeal_rig.configuration.files import load_yaml
 from squeal_rig.errors import ConfigurationError, ParameterError
-from squeal_rig.model.configuration import load_yaml
-from squeal_rig.model.declared import checked, declarations, unknown_name
 from squeal_rig.model.parameters import RUN_TIME_CONCERNS, RigParameters
 
 CALLS = ("reset", "impact", "zero")

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from squeal_rig.configuration.declared import declarations
 from squeal_rig.errors import DriverError
 from squeal_rig.instruments.channels import FORCE_CHANNELS
 from squeal_rig.instruments.driver import Driver, Samples
 from squeal_rig.instruments.settings import BLOCKS_PER_SECOND, RigSettings
-from squeal_rig.model.declared import declarations
 from squeal_rig.model.parameters import RUN_TIME_CONCERNS, RigParameters
 
 SEQ_MODULUS = 2**32

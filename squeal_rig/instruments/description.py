@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from squeal_rig.configuration.declared import checked, declarations
+from squeal_rig.configuration.files import parse_yaml, yaml_mapping
 from squeal_rig.errors import ConfigurationError, ParameterError
 from squeal_rig.instruments.settings import RigSettings
-from squeal_rig.model.configuration import parse_yaml, yaml_mapping
-from squeal_rig.model.declared import checked, declarations
 from squeal_rig.model.parameters import RigParameters
 
 _TARE = "tare_"

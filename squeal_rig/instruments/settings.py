@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from squeal_rig.configuration.declared import Declared, quantity
 from squeal_rig.errors import ParameterError
-from squeal_rig.model.declared import Declared, quantity
 
 #: One block is published every 10 ms of sampled time.
 BLOCKS_PER_SECOND = 100

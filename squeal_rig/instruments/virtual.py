@@ -8,11 +8,11 @@ from squeal_rig.errors import DriverError
 from squeal_rig.instruments.channels import DAQ_RECORD, TRUTH_RECORD
 from squeal_rig.instruments.driver import Reading, Samples
 from squeal_rig.instruments.settings import RigSettings
-from squeal_rig.model import rk4
-from squeal_rig.model.dynamics import K1, K2, Vector, arm_extensions, friction_ratio, pack
-from squeal_rig.model.kernel import kernel
+from squeal_rig.model.core.dynamics import K1, K2, Vector, arm_extensions, friction_ratio, pack
+from squeal_rig.model.core.kernel import kernel
+from squeal_rig.model.motion import rk4
+from squeal_rig.model.motion.trajectory import Motion, resting_state, validity_warnings
 from squeal_rig.model.parameters import RigParameters
-from squeal_rig.model.trajectory import Motion, resting_state, validity_warnings
 
 
 class VirtualRig:

@@ -7,48 +7,48 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from squeal_rig.model.contact import ContactEvents, contact_events
-    from squeal_rig.model.dynamics import jacobian, state_derivative
-    from squeal_rig.model.eigen import eigenvalues, squeal_frequency
-    from squeal_rig.model.energy import EnergyBalance, energy_balance
-    from squeal_rig.model.ensemble import Ensemble, simulate_many
-    from squeal_rig.model.friction import friction_coefficient
-    from squeal_rig.model.maps import StabilityMap, stability_map
-    from squeal_rig.model.parameters import RigParameters, preset_names
-    from squeal_rig.model.stability import (
+    from squeal_rig.model.core.dynamics import jacobian, state_derivative
+    from squeal_rig.model.core.friction import friction_coefficient
+    from squeal_rig.model.core.statics import equilibrium
+    from squeal_rig.model.linear.eigen import eigenvalues, squeal_frequency
+    from squeal_rig.model.linear.maps import StabilityMap, stability_map
+    from squeal_rig.model.linear.stability import (
         StabilityReport,
         critical_pad_stiffness,
         stability_band,
         stability_report,
     )
-    from squeal_rig.model.statics import equilibrium
-    from squeal_rig.model.trajectory import Motion, Trajectory, displaced_state, simulate
+    from squeal_rig.model.motion.contact import ContactEvents, contact_events
+    from squeal_rig.model.motion.energy import EnergyBalance, energy_balance
+    from squeal_rig.model.motion.ensemble import Ensemble, simulate_many
+    from squeal_rig.model.motion.trajectory import Motion, Trajectory, displaced_state, simulate
+    from squeal_rig.model.parameters import RigParameters, preset_names
 
 _HOMES = {
-    "ContactEvents": "contact",
-    "EnergyBalance": "energy",
-    "Ensemble": "ensemble",
-    "Motion": "trajectory",
+    "ContactEvents": "motion.contact",
+    "EnergyBalance": "motion.energy",
+    "Ensemble": "motion.ensemble",
+    "Motion": "motion.trajectory",
     "RigParameters": "parameters",
-    "StabilityMap": "maps",
-    "StabilityReport": "stability",
-    "Trajectory": "trajectory",
-    "contact_events": "contact",
-    "critical_pad_stiffness": "stability",
-    "displaced_state": "trajectory",
-    "eigenvalues": "eigen",
-    "energy_balance": "energy",
-    "equilibrium": "statics",
-    "friction_coefficient": "friction",
-    "jacobian": "dynamics",
+    "StabilityMap": "linear.maps",
+    "StabilityReport": "linear.stability",
+    "Trajectory": "motion.trajectory",
+    "contact_events": "motion.contact",
+    "critical_pad_stiffness": "linear.stability",
+    "displaced_state": "motion.trajectory",
+    "eigenvalues": "linear.eigen",
+    "energy_balance": "motion.energy",
+    "equilibrium": "core.statics",
+    "friction_coefficient": "core.friction",
+    "jacobian": "core.dynamics",
     "preset_names": "parameters",
-    "simulate": "trajectory",
-    "simulate_many": "ensemble",
-    "squeal_frequency": "eigen",
-    "stability_band": "stability",
-    "stability_map": "maps",
-    "stability_report": "stability",
-    "state_derivative": "dynamics",
+    "simulate": "motion.trajectory",
+    "simulate_many": "motion.ensemble",
+    "squeal_frequency": "linear.eigen",
+    "stability_band": "linear.stability",
+    "stability_map": "linear.maps",
+    "stability_report": "linear.stability",
+    "state_derivative": "core.dynamics",
 }
 
 __all__ = [

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from squeal_rig.configuration.declared import Declared, quantity
+from squeal_rig.configuration.files import config_directory, load_yaml, yaml_mapping
 from squeal_rig.errors import ConfigurationError, ParameterError
-from squeal_rig.model.configuration import config_directory, load_yaml, yaml_mapping
-from squeal_rig.model.declared import Declared, quantity
 
 MACHINE, CONTACT, FRICTION, OPERATING = "machine", "contact", "friction law", "operating point"
 

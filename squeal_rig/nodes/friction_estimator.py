@@ -15,14 +15,14 @@ from squeal_rig.errors import SquealRigError
 from squeal_rig.estimation.friction import FrictionEstimator, FrictionWindow
 from squeal_rig.estimation.regression import FrictionRegression
 from squeal_rig.estimation.settings import FrictionSettings
+from squeal_rig.graph import qos
+from squeal_rig.graph.conversions import cloud, labelled_array
+from squeal_rig.graph.health import DataWatch, Health, HealthPublisher
+from squeal_rig.graph.lifetime import Lifetime, run_node
+from squeal_rig.graph.parameters import NODE_OPTIONS, DeclaredParameters
+from squeal_rig.graph.rig_follower import RigFollower
 from squeal_rig.instruments.channels import DAQ_CHANNELS, FRICTION_SAMPLE_RECORD, TRUTH_CHANNELS, block_from_cdr
 from squeal_rig.instruments.description import RigDescription
-from squeal_rig.nodes import qos
-from squeal_rig.nodes.conversions import cloud, labelled_array
-from squeal_rig.nodes.health import DataWatch, Health, HealthPublisher
-from squeal_rig.nodes.lifetime import Lifetime, run_node
-from squeal_rig.nodes.parameters import NODE_OPTIONS, DeclaredParameters
-from squeal_rig.nodes.rig_follower import RigFollower
 
 _MODEL_COLUMNS = "mu0, mu_speed, mu_preload, mu_speed_preload, rms_residual, operating_points"
 

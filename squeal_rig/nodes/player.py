@@ -14,14 +14,14 @@ from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
+from squeal_rig.configuration.declared import Declared
 from squeal_rig.errors import RecordingError
-from squeal_rig.model.declared import Declared
-from squeal_rig.nodes import qos
-from squeal_rig.nodes.conversions import OK, WARN, time_message
-from squeal_rig.nodes.health import Health, HealthPublisher
-from squeal_rig.nodes.interfaces import message_class, replayed_qos
-from squeal_rig.nodes.lifetime import Lifetime, run_node
-from squeal_rig.nodes.parameters import NODE_OPTIONS, DeclaredParameters
+from squeal_rig.graph import qos
+from squeal_rig.graph.conversions import OK, WARN, time_message
+from squeal_rig.graph.health import Health, HealthPublisher
+from squeal_rig.graph.interfaces import message_class, replayed_qos
+from squeal_rig.graph.lifetime import Lifetime, run_node
+from squeal_rig.graph.parameters import NODE_OPTIONS, DeclaredParameters
 from squeal_rig.recording import Bag, RawMessage
 from squeal_rig.recording.replay import matching_topics, remapped
 from squeal_rig.recording.settings import PlayerSettings

@@ -14,13 +14,13 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from squeal_rig.errors import RecordingError
-from squeal_rig.nodes import qos
-from squeal_rig.nodes.conversions import ERROR, OK, WARN, status_values
-from squeal_rig.nodes.health import Health, HealthPublisher
-from squeal_rig.nodes.lifetime import STEADY, Lifetime, run_node
-from squeal_rig.nodes.parameter_watch import ParameterWatch, Values
-from squeal_rig.nodes.parameters import NODE_OPTIONS, DeclaredParameters
-from squeal_rig.nodes.subscriptions import Taken, TopicSubscriptions
+from squeal_rig.graph import qos
+from squeal_rig.graph.conversions import ERROR, OK, WARN, status_values
+from squeal_rig.graph.health import Health, HealthPublisher
+from squeal_rig.graph.lifetime import STEADY, Lifetime, run_node
+from squeal_rig.graph.parameter_watch import ParameterWatch, Values
+from squeal_rig.graph.parameters import NODE_OPTIONS, DeclaredParameters
+from squeal_rig.graph.subscriptions import Taken, TopicSubscriptions
 from squeal_rig.recording import QosProfile
 from squeal_rig.recording.session import RecordingSession
 from squeal_rig.recording.settings import RecorderSettings

@@ -9,21 +9,21 @@ from collections.abc import Callable, Sequence
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.timer import Timer
 
+from squeal_rig.configuration.declared import Declared
 from squeal_rig.errors import DriverError, ParameterError, SquealRigError
+from squeal_rig.graph.conversions import ERROR, OK, WARN
+from squeal_rig.graph.health import Health, HealthPublisher
+from squeal_rig.graph.lifetime import STEADY, Lifetime, run_node
+from squeal_rig.graph.parameters import NODE_OPTIONS, DeclaredParameters, overrides
+from squeal_rig.graph.rig_outputs import RigOutputs
+from squeal_rig.graph.rig_services import offer_services
 from squeal_rig.instruments.acquisition import Acquisition, change_refusal
 from squeal_rig.instruments.description import RigDescription
 from squeal_rig.instruments.driver import make_driver
 from squeal_rig.instruments.pacing import LATE, Pacer
 from squeal_rig.instruments.settings import PresetChoice, RigSettings
-from squeal_rig.model.declared import Declared
-from squeal_rig.model.friction import friction_refusal
+from squeal_rig.model.core.friction import friction_refusal
 from squeal_rig.model.parameters import RigParameters
-from squeal_rig.nodes.conversions import ERROR, OK, WARN
-from squeal_rig.nodes.health import Health, HealthPublisher
-from squeal_rig.nodes.lifetime import STEADY, Lifetime, run_node
-from squeal_rig.nodes.parameters import NODE_OPTIONS, DeclaredParameters, overrides
-from squeal_rig.nodes.rig_outputs import RigOutputs
-from squeal_rig.nodes.rig_services import offer_services
 
 
 class RigNode(LifecycleNode):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from squeal_rig.nodes.lifetime import run_node
+from squeal_rig.graph.lifetime import run_node
 from squeal_rig.nodes.rig import RigNode
 
 

@@ -12,14 +12,14 @@ from sensor_msgs.msg import PointCloud2
 from squeal_rig.errors import ParameterError, SquealRigError
 from squeal_rig.estimation.settings import SquealSettings
 from squeal_rig.estimation.squeal import SquealDetector, SquealState
+from squeal_rig.graph import qos
+from squeal_rig.graph.conversions import ERROR, OK, WARN, diagnostics, status
+from squeal_rig.graph.health import DataWatch, Health, HealthPublisher
+from squeal_rig.graph.lifetime import Lifetime, run_node
+from squeal_rig.graph.parameters import NODE_OPTIONS, DeclaredParameters
+from squeal_rig.graph.rig_follower import RigFollower
 from squeal_rig.instruments.channels import DAQ_CHANNELS, block_from_cdr
 from squeal_rig.instruments.description import RigDescription
-from squeal_rig.nodes import qos
-from squeal_rig.nodes.conversions import ERROR, OK, WARN, diagnostics, status
-from squeal_rig.nodes.health import DataWatch, Health, HealthPublisher
-from squeal_rig.nodes.lifetime import Lifetime, run_node
-from squeal_rig.nodes.parameters import NODE_OPTIONS, DeclaredParameters
-from squeal_rig.nodes.rig_follower import RigFollower
 
 
 class SquealDetectorNode(Node):

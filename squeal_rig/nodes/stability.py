@@ -13,14 +13,14 @@ from std_msgs.msg import Float64MultiArray
 
 from squeal_rig.errors import SquealRigError
 from squeal_rig.estimation.stability_follower import EIGENVALUE_LABELS, Estimate, InForce, StabilityFollower
+from squeal_rig.graph import qos
+from squeal_rig.graph.conversions import diagnostics, labelled_array, status
+from squeal_rig.graph.health import DataWatch, Health, HealthPublisher
+from squeal_rig.graph.lifetime import Lifetime, run_node
+from squeal_rig.graph.parameters import NODE_OPTIONS, DeclaredParameters
+from squeal_rig.graph.rig_follower import RigFollower
 from squeal_rig.instruments.channels import DAQ_CHANNELS, FRICTION_WINDOW_CHANNELS, block_from_cdr
 from squeal_rig.instruments.description import RigDescription
-from squeal_rig.nodes import qos
-from squeal_rig.nodes.conversions import diagnostics, labelled_array, status
-from squeal_rig.nodes.health import DataWatch, Health, HealthPublisher
-from squeal_rig.nodes.lifetime import Lifetime, run_node
-from squeal_rig.nodes.parameters import NODE_OPTIONS, DeclaredParameters
-from squeal_rig.nodes.rig_follower import RigFollower
 
 
 class StabilityNode(Node):

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from squeal_rig.configuration.yaml_text import dump_yaml, load_yaml
 from squeal_rig.errors import RecordingError
 
 from .qos_yaml import QosProfile, qos_from_list, qos_from_yaml, qos_to_mapping
-from .yaml_text import dump_yaml, load_yaml
 
 METADATA_FILE = "metadata.yaml"
 _VERSION = 9

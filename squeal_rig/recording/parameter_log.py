@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from .yaml_text import dump_yaml, load_yaml
+from squeal_rig.configuration.yaml_text import dump_yaml, load_yaml
 
 #: Names of the records: all parameters of a node when it was asked, and one change of them.
 AT_START, CHANGE = "parameters", "parameter_change"

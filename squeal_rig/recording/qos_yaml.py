@@ -10,9 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from squeal_rig.configuration.yaml_text import load_yaml
 from squeal_rig.errors import RecordingError
-
-from .yaml_text import load_yaml
 
 INFINITE_NS = 2**63 - 1
 

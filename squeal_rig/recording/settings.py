@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from squeal_rig.configuration.declared import Declared, quantity
 from squeal_rig.errors import ParameterError
-from squeal_rig.model.declared import Declared, quantity
 
 #: What a run is understood from; names are relative to the rig's namespace, but for the absolute ones.
 DEFAULT_TOPICS = (

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from squeal_rig.analysis.estimate import estimate_bag
+from squeal_rig.analysis.estimate_check import compare_estimates
 from squeal_rig.recording import Bag
 from squeal_rig.recording.verify import verify
-from squeal_rig.report.estimate import estimate_bag
-from squeal_rig.report.estimate_check import compare_estimates
 
 
 def verdict_text(path: Path | str) -> tuple[str, bool]:

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from squeal_rig.analysis.segments import Analysis, Segment
 from squeal_rig.estimation.spectra import REFERENCE
-from squeal_rig.report.analysis import Analysis, Segment
 
 _QUIET, _SQUEAL, _LAW = "#4d4d4d", "#b2182b", "#2166ac"
 _TOP_FREQUENCY = 5000.0

@@ -8,7 +8,7 @@ from typing import Any
 from rich.markup import escape
 from rich.table import Table
 
-from squeal_rig.report.analysis import Analysis, segment_rows
+from squeal_rig.analysis.segments import Analysis, segment_rows
 
 _FORMS = {"k [N/m]": ".3g", "k_cr [N/m]": ".3g", "margin": "+.2f", "F [N]": ".0f", "V [m/s]": ".2f"}
 _FORMS |= {"from [s]": ".1f", "to [s]": ".1f", "f squeal [Hz]": ".0f", "f eigen [Hz]": ".0f"}

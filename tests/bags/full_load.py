@@ -80,8 +80,8 @@ def main(log, seconds, wait):
     from sensor_msgs.msg import JointState, PointCloud2
     from std_msgs.msg import String
 
-    from squeal_rig.nodes.conversions import OK
-    from squeal_rig.nodes.health import HealthPublisher
+    from squeal_rig.graph.conversions import OK
+    from squeal_rig.graph.health import HealthPublisher
 
     rclpy.init()
     node = Node("load")

@@ -207,7 +207,7 @@ def reading(bag, folder):
 
     say(f"\n## Reading the {bag.duration:.0f} s bag\n")
     bare = timed(folder, "import numpy, pyarrow.parquet")[1]
-    code = f"from squeal_rig.report.export import export_bag\nexport_bag({str(bag.path)!r}, 'parquet', 'parquet')"
+    code = f"from squeal_rig.samples.export import export_bag\nexport_bag({str(bag.path)!r}, 'parquet', 'parquet')"
     took, peak = timed(folder, code)
     files = sorted((folder / "parquet").iterdir())
     size = sum(path.stat().st_size for path in files) / 1e6

@@ -8,6 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from squeal_rig.catalogue.checking import check_file
+from squeal_rig.configuration.files import config_directory
 from squeal_rig.errors import ModelError, SquealRigError
 from squeal_rig.estimation.calibration import (
     Calibration,
@@ -24,9 +26,7 @@ from squeal_rig.estimation.calibration import (
 from squeal_rig.estimation.calibration.closed_form import as_columns, critical_stiffness, linear_frequency
 from squeal_rig.estimation.calibration.evaluation import Evaluator
 from squeal_rig.estimation.calibration.rest_thresholds import critical_stiffness_at_rest, is_threshold_at_rest
-from squeal_rig.experiments.checking import check_file
 from squeal_rig.model import RigParameters, critical_pad_stiffness, eigenvalues, squeal_frequency
-from squeal_rig.model.configuration import config_directory
 
 CONFIG = config_directory()
 PAPER = CONFIG / "paper" / "yavuz_sen_2023.yaml"

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from squeal_rig.configuration.files import config_directory
 from squeal_rig.estimation.calibration import (
     bilinear_floors,
     calibrate,
@@ -18,15 +19,14 @@ from squeal_rig.estimation.calibration import (
     residuals,
     searched_floor,
 )
-from squeal_rig.estimation.calibration.disagreements import judge, regions, stiffened
 from squeal_rig.estimation.calibration.evaluation import Evaluator
-from squeal_rig.estimation.calibration.readings import READINGS, fit_readings
 from squeal_rig.estimation.calibration.residuals import rounded, shown_kinds
 from squeal_rig.estimation.calibration.rest_thresholds import critical_stiffness_at_rest, is_threshold_at_rest
-from squeal_rig.estimation.calibration.tradeoff import trade_off
 from squeal_rig.model import RigParameters, critical_pad_stiffness, eigenvalues, friction_coefficient, simulate
-from squeal_rig.model.configuration import config_directory
-from squeal_rig.model.eigen import is_unstable
+from squeal_rig.model.linear.eigen import is_unstable
+from squeal_rig.studies.inverse.disagreements import judge, regions, stiffened
+from squeal_rig.studies.inverse.readings import READINGS, fit_readings
+from squeal_rig.studies.inverse.tradeoff import trade_off
 
 CONFIG = config_directory()
 PRESET = CONFIG / "presets" / "yavuz_sen_2023_calibrated.yaml"

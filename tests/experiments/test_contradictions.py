@@ -19,8 +19,8 @@ from squeal_rig.model import (
     stability_band,
     state_derivative,
 )
-from squeal_rig.model.eigen import is_unstable
-from squeal_rig.model.statics import normal_force, stiffness_matrix
+from squeal_rig.model.core.statics import normal_force, stiffness_matrix
+from squeal_rig.model.linear.eigen import is_unstable
 
 PRESET = RigParameters.preset("yavuz_sen_2023")
 POINTS = [(50.0, 1.0), (50.0, 4.0), (200.0, 1.0), (300.0, 1.0)]

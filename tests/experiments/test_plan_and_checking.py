@@ -4,13 +4,13 @@ from pathlib import Path
 
 import pytest
 
+from squeal_rig.catalogue.checking import NODE_PARAMETERS, check_file
+from squeal_rig.catalogue.parameter_table import parameter_table
+from squeal_rig.configuration.declared import declarations
+from squeal_rig.configuration.files import config_directory
 from squeal_rig.errors import ExperimentError, SquealRigError
-from squeal_rig.experiments.checking import NODE_PARAMETERS, check_file
 from squeal_rig.experiments.engine import run_plan
-from squeal_rig.experiments.parameter_table import parameter_table
 from squeal_rig.experiments.plan import load_plan
-from squeal_rig.model.configuration import config_directory
-from squeal_rig.model.declared import declarations
 
 ROOT = Path(__file__).parents[2]
 

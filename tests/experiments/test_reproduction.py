@@ -7,13 +7,13 @@ import pytest
 
 from squeal_rig.estimation.harmonics import superharmonics
 from squeal_rig.estimation.spectra import amplitude_spectrum
-from squeal_rig.experiments.reproduction import linear, nonlinear, statements
-from squeal_rig.experiments.reproduction.friction_law import measure_friction
-from squeal_rig.experiments.reproduction.paper import paper_numbers
-from squeal_rig.experiments.reproduction.run import DAMPING
-from squeal_rig.experiments.reproduction.statements import AGREES, DIFFERS
 from squeal_rig.model import RigParameters
 from squeal_rig.report.page import DataTable, Section, write_page
+from squeal_rig.studies.reproduction import linear, nonlinear, statements
+from squeal_rig.studies.reproduction.friction_law import measure_friction
+from squeal_rig.studies.reproduction.paper import paper_numbers
+from squeal_rig.studies.reproduction.run import DAMPING
+from squeal_rig.studies.reproduction.statements import AGREES, DIFFERS
 
 PAPER = paper_numbers()
 PRESET = RigParameters.preset("yavuz_sen_2023")

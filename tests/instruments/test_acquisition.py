@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from squeal_rig.configuration.declared import declarations
 from squeal_rig.errors import DriverError, ParameterError
 from squeal_rig.instruments.acquisition import SEQ_MODULUS, Acquisition, change_refusal, slewed
 from squeal_rig.instruments.channels import DAQ_RECORD, TRUTH_RECORD
@@ -14,8 +15,7 @@ from squeal_rig.instruments.means import block_means
 from squeal_rig.instruments.settings import RigSettings
 from squeal_rig.instruments.virtual import VirtualRig
 from squeal_rig.model import RigParameters, simulate
-from squeal_rig.model.declared import declarations
-from squeal_rig.model.trajectory import displaced_state, resting_state
+from squeal_rig.model.motion.trajectory import displaced_state, resting_state
 
 PARAMETERS = RigParameters().replace(damping_x=20.0, damping_y=20.0)
 

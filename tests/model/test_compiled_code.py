@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 
 import squeal_rig.model
-from squeal_rig.model.trajectory import ENGINES
+from squeal_rig.model.motion.trajectory import ENGINES
 
 ROOT = Path(squeal_rig.__file__).parents[1]
 
 LIST_KERNELS = """
 import sys
-import squeal_rig.model.ensemble, squeal_rig.model.maps, squeal_rig.model.trajectory
+import squeal_rig.model.motion.ensemble, squeal_rig.model.linear.maps, squeal_rig.model.motion.trajectory
 from numba.core.dispatcher import Dispatcher
 kernels = {}
 for name, module in list(sys.modules.items()):
@@ -26,7 +26,8 @@ for name, module in list(sys.modules.items()):
 """
 
 SIMULATE = """
-from squeal_rig.model import RigParameters, {engine}, simulate, state_derivative
+from squeal_rig.model import RigParameters, simulate, state_derivative
+from squeal_rig.model.motion import {engine}
 p, start = RigParameters(), [1e-6, 0.0, 0.0, 0.0]
 run = simulate(p, 1e-6, 1e6, start, engine="{engine}")
 acceleration = state_derivative(p, start)[2]

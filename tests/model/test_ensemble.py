@@ -13,9 +13,9 @@ from squeal_rig.model import (
     simulate,
     simulate_many,
 )
-from squeal_rig.model.dynamics import pack
-from squeal_rig.model.ensemble import STATUS
-from squeal_rig.model.rest import rest_position
+from squeal_rig.model.core.dynamics import pack
+from squeal_rig.model.core.rest import rest_position
+from squeal_rig.model.motion.ensemble import STATUS
 
 RATE = 51200.0
 SQUEALING = RigParameters().replace(preload=300.0, belt_speed=1.0, pad_stiffness=6e7, damping_x=20.0, damping_y=20.0)

@@ -7,7 +7,7 @@ import pytest
 
 from squeal_rig.errors import ModelError
 from squeal_rig.model import RigParameters, displaced_state, equilibrium, stability_report, state_derivative
-from squeal_rig.model.statics import normal_force
+from squeal_rig.model.core.statics import normal_force
 
 from . import reference
 from .random_rigs import SWITCHES, random_rig

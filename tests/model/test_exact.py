@@ -15,8 +15,8 @@ from squeal_rig.model import (
     simulate,
     state_derivative,
 )
-from squeal_rig.model.series import first_zero
-from squeal_rig.model.trajectory import resting_state
+from squeal_rig.model.motion.series import first_zero
+from squeal_rig.model.motion.trajectory import resting_state
 
 from .dop853 import reference
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from squeal_rig.errors import ParameterError
 from squeal_rig.model import RigParameters, eigenvalues, squeal_frequency, stability_band, stability_map
-from squeal_rig.model.eigen import is_unstable
+from squeal_rig.model.linear.eigen import is_unstable
 
 RIGS = {
     "undamped": {},

@@ -10,9 +10,9 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from squeal_rig.configuration.declared import declarations
 from squeal_rig.errors import ConfigurationError, ParameterError, SquealRigError
 from squeal_rig.model import RigParameters, preset_names
-from squeal_rig.model.declared import declarations
 
 BAD_YAML = Path(__file__).parent / "bad_yaml"
 MASS = "it must be 0.001 to 100000 kg"

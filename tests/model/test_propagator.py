@@ -8,10 +8,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from squeal_rig.model import RigParameters
-from squeal_rig.model.cubic import TERMS, compose, evaluate_all, multiply
-from squeal_rig.model.dynamics import L_PRE, pack
-from squeal_rig.model.exact import empty_flow, workspace
-from squeal_rig.model.propagator import (
+from squeal_rig.model.core.dynamics import L_PRE, pack
+from squeal_rig.model.motion.cubic import TERMS, compose, evaluate_all, multiply
+from squeal_rig.model.motion.exact import empty_flow, workspace
+from squeal_rig.model.motion.propagator import (
     AHEAD,
     BOUND,
     CONTACT_LIMITS,
@@ -22,7 +22,7 @@ from squeal_rig.model.propagator import (
     propagators,
     substeps_needed,
 )
-from squeal_rig.model.series import evaluate, expand
+from squeal_rig.model.motion.series import evaluate, expand
 
 INTERVAL = 1.0 / 51200.0
 MONOMIALS = [powers for degree in range(4) for powers in itertools.combinations_with_replacement(range(4), degree)]

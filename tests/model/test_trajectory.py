@@ -17,8 +17,8 @@ from squeal_rig.model import (
     simulate,
     squeal_frequency,
 )
-from squeal_rig.model.rk4 import COLUMNS
-from squeal_rig.model.trajectory import validity_warnings
+from squeal_rig.model.motion.rk4 import COLUMNS
+from squeal_rig.model.motion.trajectory import validity_warnings
 
 SQUEALING = RigParameters(preload=300.0, damping_x=20.0, damping_y=20.0)
 

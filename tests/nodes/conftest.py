@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from squeal_rig.model.configuration import config_directory
+from squeal_rig.configuration.files import config_directory
 
 from .domains import private_domain
 from .processes import Processes

@@ -17,8 +17,8 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
+from squeal_rig.graph import qos
 from squeal_rig.instruments.description import RigDescription
-from squeal_rig.nodes import qos
 from squeal_rig.recording import samples_from_cdr
 
 #: Discovery of a service usually takes 0.25 s, and now and then over 2 s; a loaded machine is slower.

@@ -4,8 +4,8 @@ import math
 
 import pytest
 
+from squeal_rig.configuration.declared import declarations
 from squeal_rig.instruments.settings import PresetChoice, RigSettings
-from squeal_rig.model.declared import declarations
 from squeal_rig.model.parameters import RigParameters
 
 pytest.importorskip("rclpy")

@@ -8,8 +8,8 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 
-from squeal_rig.nodes.replay_check import compared, recorded_windows
 from squeal_rig.recording import Bag, samples_from_cdr
+from squeal_rig.session.replay_check import compared, recorded_windows
 
 from .processes import parameters
 from .statuses import health_of

@@ -85,7 +85,7 @@ class Talk:
     summaries: object = field(repr=False)
 
     def block(self, topic, samples):
-        from squeal_rig.nodes.conversions import cloud
+        from squeal_rig.graph.conversions import cloud
 
         self.publishers[topic].publish(cloud(samples, 10**18))
 

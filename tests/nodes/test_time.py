@@ -50,7 +50,7 @@ def test_when_not_in_real_time_the_clock_is_published_and_follows_the_samples(
 ):
     from rosgraph_msgs.msg import Clock
 
-    from squeal_rig.nodes import qos
+    from squeal_rig.graph import qos
 
     ns = f"/factor_{real_time_factor:.0f}"
     clock = []

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from squeal_rig.analysis.segments import analyse_bag, segment_rows
 from squeal_rig.errors import RecordingError
 from squeal_rig.instruments.acquisition import Acquisition
 from squeal_rig.instruments.description import RigDescription
@@ -12,9 +13,8 @@ from squeal_rig.instruments.settings import RigSettings
 from squeal_rig.instruments.virtual import VirtualRig
 from squeal_rig.model import RigParameters
 from squeal_rig.recording import BagWriter, MessageSchema, cdr_from_samples
-from squeal_rig.report.analysis import analyse_bag, segment_rows
-from squeal_rig.report.bag_samples import recorded_blocks
 from squeal_rig.report.run_figure import draw_run
+from squeal_rig.samples.blocks import recorded_blocks
 
 PARAMETERS = RigParameters().replace(damping_x=20.0, damping_y=20.0)
 CLOUD = MessageSchema("sensor_msgs/msg/PointCloud2")

@@ -5,10 +5,10 @@ from io import StringIO
 import pytest
 from rich.console import Console
 
+from squeal_rig.configuration.files import config_directory
 from squeal_rig.errors import SquealRigError
 from squeal_rig.model import RigParameters
-from squeal_rig.model.configuration import config_directory
-from squeal_rig.report.calibration import Effort, run_calibration
+from squeal_rig.studies.inverse.calibrate import Effort, run_calibration
 
 PAPER = config_directory() / "paper" / "yavuz_sen_2023.yaml"
 

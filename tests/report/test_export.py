@@ -10,9 +10,9 @@ from recorded_rig import record
 
 from squeal_rig.errors import RecordingError
 from squeal_rig.recording import Bag
-from squeal_rig.report.columns import SampleColumns
-from squeal_rig.report.export import export_bag
-from squeal_rig.report.frames import read_array, read_frame, read_table
+from squeal_rig.samples.columns import SampleColumns
+from squeal_rig.samples.export import export_bag
+from squeal_rig.samples.frames import read_array, read_frame, read_table
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +96,7 @@ def test_wav_is_the_signal_up_to_its_scale(run, tmp_path):
 def test_lost_samples_are_silence_in_a_wav(run, tmp_path):
     from scipy.io import wavfile
 
-    from squeal_rig.report.wav import write_wav
+    from squeal_rig.samples.wav import write_wav
 
     seq = np.r_[0:100, 150:200]
     values = np.ones((150, 1))

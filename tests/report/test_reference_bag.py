@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from squeal_rig.analysis.estimate import estimate_bag
+from squeal_rig.analysis.segments import analyse_bag
 from squeal_rig.recording import Bag, samples_from_cdr
 from squeal_rig.recording.verify import verify
-from squeal_rig.report.analysis import analyse_bag
-from squeal_rig.report.estimate import estimate_bag
 
 REFERENCE = Path(__file__).parents[2] / "bags" / "reference"
 

@@ -8,7 +8,7 @@ import pytest
 from nodes.made_bag import schema, string_cdr, write_squeal
 
 import squeal_rig
-from squeal_rig.model.configuration import config_directory
+from squeal_rig.configuration.files import config_directory
 from squeal_rig.recording import BagWriter
 
 _COMMANDS = ("run", "demo", "analyse", "check", "info")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
-from squeal_rig.model.configuration import config_directory
+from squeal_rig.configuration.files import config_directory
 from squeal_rig.recording import Bag, samples_from_cdr
 
 pytest.importorskip("rclpy")

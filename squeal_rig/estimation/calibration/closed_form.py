@@ -1,6 +1,6 @@
 """Thresholds and squeal frequencies of many candidate rigs at once, undamped, by Eqs. (3.1), (3.2).
 
-The same boundaries as `squeal_rig.model.stability`, on arrays: a search looks at hundreds of thousands of candidates.
+The same boundaries as ``stability``, on arrays: a search looks at hundreds of thousands of candidates.
 Where there is no root the answer is nan, never a number that stands in for one.
 """
 

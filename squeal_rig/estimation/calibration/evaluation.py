@@ -18,10 +18,10 @@ from squeal_rig.estimation.calibration.closed_form import Columns
 from squeal_rig.estimation.calibration.problem import FRICTION_TERMS, Calibration
 from squeal_rig.estimation.calibration.rest_thresholds import critical_stiffness_at_rest
 from squeal_rig.estimation.calibration.targets import JUMP_RANGE, KINDS, Target
-from squeal_rig.model.eigen import eigenvalues, squeal_frequency
-from squeal_rig.model.ensemble import simulate_many
+from squeal_rig.model.linear.eigen import eigenvalues, squeal_frequency
+from squeal_rig.model.linear.stability import critical_pad_stiffness
+from squeal_rig.model.motion.ensemble import simulate_many
 from squeal_rig.model.parameters import RigParameters
-from squeal_rig.model.stability import critical_pad_stiffness
 
 Values = NDArray[np.float64]
 #: Kinds that take a simulation of the motion.

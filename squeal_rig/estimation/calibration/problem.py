@@ -8,6 +8,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from squeal_rig.configuration.declared import declarations, unknown_name
+from squeal_rig.configuration.files import load_yaml
 from squeal_rig.errors import ConfigurationError, ParameterError
 from squeal_rig.estimation.calibration.targets import (
     KINDS,
@@ -18,8 +20,6 @@ from squeal_rig.estimation.calibration.targets import (
     number,
     read_targets,
 )
-from squeal_rig.model.configuration import load_yaml
-from squeal_rig.model.declared import declarations, unknown_name
 from squeal_rig.model.parameters import RigParameters
 
 EQUILIBRIA = ("linear", "exact")

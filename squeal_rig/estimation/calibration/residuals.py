@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
+from squeal_rig.configuration.declared import declarations
+from squeal_rig.configuration.files import yaml_scalar
 from squeal_rig.estimation.calibration.evaluation import SIMULATED, Evaluator
 from squeal_rig.estimation.calibration.identifiability import identifiability
 from squeal_rig.estimation.calibration.problem import Calibration
 from squeal_rig.estimation.calibration.search import EQUALLY_GOOD, Found
 from squeal_rig.estimation.calibration.targets import KINDS, Target
-from squeal_rig.model.configuration import yaml_scalar
-from squeal_rig.model.declared import declarations
 from squeal_rig.model.parameters import RigParameters
 
 #: Digits a preset is written with: what the search determines, and the same on every machine.

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from squeal_rig.model.dynamics import (
+from squeal_rig.model.core.dynamics import (
     A1X,
     A1Y,
     A2X,
@@ -27,10 +27,10 @@ from squeal_rig.model.dynamics import (
     friction_ratio,
     pack,
 )
-from squeal_rig.model.eigen import eigenvalues, is_unstable
-from squeal_rig.model.kernel import kernel
+from squeal_rig.model.core.kernel import kernel
+from squeal_rig.model.core.rest import rest_position
+from squeal_rig.model.linear.eigen import eigenvalues, is_unstable
 from squeal_rig.model.parameters import RigParameters
-from squeal_rig.model.rest import rest_position
 
 Values = NDArray[np.float64]
 

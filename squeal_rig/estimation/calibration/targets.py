@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from squeal_rig.configuration.files import load_yaml
 from squeal_rig.errors import ConfigurationError
-from squeal_rig.model.configuration import load_yaml
 
 #: Kinds of target, in the order they are reported.
 KINDS = (

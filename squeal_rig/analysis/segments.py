@@ -1,0 +1,239 @@
+"""Offline analysis of a bag: what happened at each operating point, and the course of the run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from squeal_rig.errors import ModelError, RecordingError
+from squeal_rig.estimation.friction import FrictionEstimator
+from squeal_rig.estimation.settings import FrictionSettings, SquealSettings
+from squeal_rig.estimation.spectra import amplitude_spectrum, peak_frequency
+from squeal_rig.estimation.squeal import SquealDetector
+from squeal_rig.model.core.friction import friction_coefficient
+from squeal_rig.model.linear.stability import StabilityReport, stability_report
+from squeal_rig.model.parameters import RigParameters
+from squeal_rig.recording import Bag
+from squeal_rig.samples.blocks import RecordedBlock, recorded_blocks
+
+Values = NDArray[np.float64]
+
+#: Segments shorter than this [s] are ramps and switchings, not operating points.
+SHORTEST_SEGMENT = 0.3
+#: Signal kept of each segment for its spectrum [s]: the last part, where it has settled.
+_SPECTRUM_SECONDS = 0.5
+_MODE_BAND = (200.0, 5000.0)
+
+
+@dataclass
+class Segment:
+    """A stretch of the run with one operating point, squealing throughout or not at all.
+
+    Times in s since the first sample; shares of the samples whose truth is known; `signal` is the last part of x [m].
+    """
+
+    begin: float
+    parameters: RigParameters
+    squealing: bool
+    end: float = 0.0
+    samples: int = 0
+    off_belt: int = 0
+    true_samples: int = 0
+    mu: list[float] = field(default_factory=list)
+    mu_ratio: list[float] = field(default_factory=list)
+    mu_true: list[float] = field(default_factory=list)
+    signal: list[Values] = field(default_factory=list)
+    sample_rate: float = 0.0
+    stability: StabilityReport | None = None
+
+    @property
+    def duration(self) -> float:
+        """Length [s]."""
+        return self.end - self.begin
+
+    @property
+    def contact_loss_share(self) -> float:
+        """Share of time off the belt; nan where no truth was recorded."""
+        return self.off_belt / self.true_samples if self.true_samples else math.nan
+
+    @property
+    def contact_loss_time(self) -> float:
+        """Time off the belt [s]."""
+        return self.contact_loss_share * self.duration
+
+    @property
+    def mu_set(self) -> float:
+        """Friction coefficient of the law at this operating point."""
+        return friction_coefficient(self.parameters)
+
+    def spectrum(self) -> tuple[Values, Values]:
+        """Frequencies [Hz] and amplitudes [m] of x over the segment's last half second."""
+        return amplitude_spectrum(np.concatenate(self.signal), self.sample_rate)
+
+    def squeal_frequency(self) -> float:
+        """Measured squeal frequency [Hz]; nan where there is no squeal."""
+        return peak_frequency(*self.spectrum(), *_MODE_BAND) if self.squealing else math.nan
+
+
+@dataclass
+class Course:
+    """The run in time: one row a block (10 ms), one row a detector window, one row a friction window."""
+
+    blocks: list[tuple[float, ...]] = field(default_factory=list)
+    levels: list[tuple[float, ...]] = field(default_factory=list)
+    windows: list[dict[str, float]] = field(default_factory=list)
+
+    BLOCK_COLUMNS = ("t", "preload", "belt_speed", "x_min", "x_max", "y_min", "y_max", "off_belt")
+    LEVEL_COLUMNS = ("t", "detected", "level", "frequency")
+
+    def block_column(self, name: str) -> Values:
+        """One column of the block rows."""
+        return np.array([row[self.BLOCK_COLUMNS.index(name)] for row in self.blocks])
+
+    def level_column(self, name: str) -> Values:
+        """One column of the detector's rows."""
+        return np.array([row[self.LEVEL_COLUMNS.index(name)] for row in self.levels])
+
+    def window_column(self, name: str) -> Values:
+        """One field of the friction windows."""
+        return np.array([window[name] for window in self.windows])
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """All that is known of a recorded run."""
+
+    title: str
+    sample_rate: int
+    lost_samples: int
+    segments: list[Segment]
+    course: Course
+    duration: float
+
+
+def analyse_bag(path: Path | str) -> Analysis:
+    """Analyse a recording of the rig from its samples alone, with today's code.
+
+    Raises:
+        RecordingError: the bag cannot be read or holds no samples.
+    """
+    bag = Bag(path)
+    analyser: _Analyser | None = None
+    for block in recorded_blocks(bag):
+        if analyser is None:
+            analyser = _Analyser(block)
+        analyser.add(block)
+    if analyser is None:
+        raise RecordingError(f"{path} holds no samples")
+    return analyser.finished(Path(path).name)
+
+
+class _Analyser:
+    """Goes once through the blocks of a run."""
+
+    def __init__(self, first: RecordedBlock) -> None:
+        self._rate = first.rig.sample_rate
+        self._origin = int(first.daq["seq"][0])
+        self._friction = FrictionEstimator(first.rig, FrictionSettings())
+        self._squeal = SquealDetector(self._rate, SquealSettings())
+        self._course = Course()
+        self._segments: list[Segment] = []
+        self._samples_end = self._origin
+
+    def add(self, block: RecordedBlock) -> None:
+        """Take the next block."""
+        daq, rig = block.daq, block.rig
+        self._friction.rig = rig
+        seq = self._samples_end + (int(daq["seq"][0]) - self._samples_end) % 2**32
+        begin, length = (seq - self._origin) / self._rate, len(daq) / self._rate
+        self._samples_end = seq + len(daq)
+        for state in self._squeal.add_samples(block.stamp, daq):
+            self._course.levels.append((begin + length, float(state.detected), state.level, state.frequency))
+        windows = self._friction.add_samples(block.stamp, daq)[2]
+        if block.truth is not None:
+            windows += self._friction.add_truth(block.truth)
+        off_belt = math.nan if block.truth is None else float(np.mean(block.truth["normal_force"] <= 0.0))
+        extremes = [float(f(daq[axis])) for axis in ("x", "y") for f in (np.min, np.max)]
+        self._course.blocks.append(
+            (begin, float(daq["preload"][-1]), float(daq["belt_speed"][-1]), *extremes, off_belt)
+        )
+        segment = self._segment_of(block, begin)
+        self._extend(segment, block, begin + length)
+        offset = self._origin / self._rate
+        for window in windows:
+            times = {name: window.values[name] - offset for name in ("t_start", "t_end")}
+            self._course.windows.append({**window.values, **times})
+
+    def _segment_of(self, block: RecordedBlock, begin: float) -> Segment:
+        """The segment the block belongs to: a new one when the operating point or squeal has changed."""
+        p = block.rig.parameters.replace(
+            preload=float(block.daq["preload"][0]), belt_speed=float(block.daq["belt_speed"][0])
+        )
+        squealing = self._squeal.state.detected
+        last = self._segments[-1] if self._segments else None
+        if last is None or p != last.parameters or squealing != last.squealing:
+            last = Segment(begin, p, squealing, sample_rate=float(self._rate))
+            self._segments.append(last)
+        return last
+
+    def _extend(self, segment: Segment, block: RecordedBlock, end: float) -> None:
+        segment.end = end
+        segment.samples += len(block.daq)
+        if block.truth is not None:
+            segment.true_samples += len(block.truth)
+            segment.off_belt += int(np.count_nonzero(block.truth["normal_force"] <= 0.0))
+        segment.signal.append(np.array(block.daq["x"]))
+        keep = math.ceil(_SPECTRUM_SECONDS * self._rate / len(block.daq))
+        del segment.signal[:-keep]
+
+    def finished(self, title: str) -> Analysis:
+        """The analysis, once all blocks were taken."""
+        segments = [segment for segment in self._segments if segment.duration >= SHORTEST_SEGMENT]
+        for segment in segments:
+            for window in self._course.windows:
+                if segment.begin <= window["t_start"] and window["t_end"] <= segment.end:
+                    segment.mu.append(window["mu"])
+                    segment.mu_ratio.append(window["mu_ratio_of_means"])
+                    segment.mu_true.append(window["mu_true"])
+            try:
+                segment.stability = stability_report(segment.parameters)
+            except ModelError:
+                segment.stability = None  # shown as none: there is nothing to compare with
+        duration = (self._samples_end - self._origin) / self._rate
+        return Analysis(title, self._rate, self._friction.lost_samples, segments, self._course, duration)
+
+
+def segment_rows(analysis: Analysis) -> Iterator[dict[str, Any]]:
+    """One row a segment, for tables: name with unit -> value (nan where there is none)."""
+    for segment in analysis.segments:
+        s = segment.stability
+        yield {
+            "from [s]": segment.begin,
+            "to [s]": segment.end,
+            "F [N]": segment.parameters.preload,
+            "V [m/s]": segment.parameters.belt_speed,
+            "k [N/m]": 0.5 * (segment.parameters.k1 + segment.parameters.k2),
+            "k_cr [N/m]": s.critical_pad_stiffness if s else math.nan,
+            "margin": s.margin if s else math.nan,
+            "eigenvalues": "none" if s is None else "unstable" if s.unstable else "stable",
+            "rig": "squeal" if segment.squealing else "quiet",
+            "mu set": segment.mu_set,
+            "mu (2.2)": _mean(segment.mu),
+            "mu ratio": _mean(segment.mu_ratio),
+            "mu true": _mean(segment.mu_true),
+            "f squeal [Hz]": segment.squeal_frequency(),
+            "f eigen [Hz]": s.squeal_frequency if s else math.nan,
+            "off belt [s]": segment.contact_loss_time,
+            "off belt share": segment.contact_loss_share,
+        }
+
+
+def _mean(values: Iterable[float]) -> float:
+    finite = [value for value in values if math.isfinite(value)]
+    return float(np.mean(finite)) if finite else math.nan

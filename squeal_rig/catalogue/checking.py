@@ -1,0 +1,92 @@
+"""Checks any YAML file of ours: node parameters, a preset, a plan, targets, a calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from squeal_rig.configuration.declared import Declared, declarations, unknown_name
+from squeal_rig.configuration.files import load_yaml
+from squeal_rig.errors import ConfigurationError, ParameterError
+from squeal_rig.estimation.calibration.problem import load_calibration
+from squeal_rig.estimation.calibration.targets import load_targets, looks_like_targets
+from squeal_rig.estimation.settings import FrictionSettings, SquealSettings
+from squeal_rig.experiments.plan import load_plan
+from squeal_rig.instruments.settings import PresetChoice, RigSettings
+from squeal_rig.model.core.friction import friction_refusal
+from squeal_rig.model.parameters import RigParameters
+from squeal_rig.recording.settings import PlayerSettings, RecorderSettings
+
+#: Node name -> the dataclasses its parameters are declared in.
+NODE_PARAMETERS: dict[str, tuple[type[Declared], ...]] = {
+    "rig": (PresetChoice, RigParameters, RigSettings),
+    "friction_estimator": (FrictionSettings,),
+    "squeal_detector": (SquealSettings,),
+    "stability": (),
+    "recorder": (RecorderSettings,),
+    "player": (PlayerSettings,),
+}
+_ROS_KEY = "ros__parameters"
+_ROS_NAMES = ("use_sim_time",)
+
+
+def check_file(path: Path | str) -> str:
+    """Check one file; returns in a few words what it is.
+
+    Raises:
+        ConfigurationError, ParameterError: what is wrong with it, in one sentence.
+    """
+    content = load_yaml(path)
+    if not isinstance(content, dict):
+        raise ConfigurationError(f"{path}: expected a mapping, got {content!r}")
+    if "steps" in content:
+        plan = load_plan(path)
+        return f"a plan of {len(plan.steps)} steps and {plan.duration:g} s"
+    if looks_like_targets(content):
+        return f"{len(load_targets(path).items)} targets of a calibration"
+    if "free" in content or "targets" in content:
+        problem = load_calibration(path)
+        return f"a calibration of {len(problem.free)} free parameters against {len(problem.targets.items)} targets"
+    if any(isinstance(value, dict) for value in content.values()):
+        return "parameters of " + ", ".join(_check_node(path, key, value) for key, value in content.items())
+    p = RigParameters.from_yaml(path)
+    _refuse_friction(path, p)
+    return "rig parameters"
+
+
+def _check_node(path: Path | str, key: str, body: object) -> str:
+    """Check one node's block of a ROS parameter file; returns the node's name."""
+    name = str(key).rstrip("/").split("/")[-1]
+    where = f"{path}, {key}"
+    if not isinstance(body, dict) or set(body) != {_ROS_KEY}:
+        raise ConfigurationError(f"{where}: a node's block holds {_ROS_KEY} and nothing else")
+    if name not in NODE_PARAMETERS:
+        raise ConfigurationError(f"{where}: no node {name!r}: there are {', '.join(NODE_PARAMETERS)}")
+    if not str(key).startswith("/"):
+        raise ConfigurationError(f"{where}: the key does not match a node in a namespace: write /**/{name}")
+    values = {k: v for k, v in (body[_ROS_KEY] or {}).items() if k not in _ROS_NAMES}
+    try:
+        _check_values(path, NODE_PARAMETERS[name], values)
+    except (ParameterError, ConfigurationError) as error:
+        raise type(error)(f"{where}: {error}") from None
+    return name
+
+
+def _check_values(path: Path | str, kinds: tuple[type[Declared], ...], values: Mapping[str, Any]) -> None:
+    known = {name: kind for kind in kinds for name in declarations(kind)}
+    for name in values:
+        if name not in known:
+            raise unknown_name(str(name), known)
+    for kind in kinds:
+        own = {name: value for name, value in values.items() if known[name] is kind}
+        base = RigParameters.preset(str(values.get("preset", "yavuz_sen_2023"))) if kind is RigParameters else None
+        checked = kind.from_mapping(own, base)
+        if isinstance(checked, RigParameters):
+            _refuse_friction(path, checked)
+
+
+def _refuse_friction(path: Path | str, p: RigParameters) -> None:
+    sentence = friction_refusal(p)
+    if sentence:
+        raise ParameterError(f"{path}: {sentence}")

@@ -1,0 +1,1 @@
+"""Settings: declared once, found in `config/`, read as YAML."""

@@ -1,0 +1,1 @@
+"""Adapters between our objects and the ROS graph, shared by the nodes."""

@@ -1,0 +1,59 @@
+"""What the rig publishes: blocks, their means, its description, the clock."""
+
+from __future__ import annotations
+
+from geometry_msgs.msg import WrenchStamped
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState, PointCloud2
+from std_msgs.msg import String
+
+from squeal_rig.graph import qos
+from squeal_rig.graph.conversions import cloud, joint_state, time_message, wrench
+from squeal_rig.instruments.acquisition import Block
+from squeal_rig.instruments.description import RigDescription
+from squeal_rig.instruments.means import block_means
+from squeal_rig.instruments.settings import BLOCKS_PER_SECOND
+from squeal_rig.model.parameters import RigParameters
+
+_BLOCK_NS = 10**9 // BLOCKS_PER_SECOND
+
+
+class RigOutputs:
+    """The rig's publishers.
+
+    Args:
+        node: the rig.
+        publishes_truth: whether the driver knows the truth.
+        publishes_clock: whether sampled time is not wall time.
+    """
+
+    def __init__(self, node: Node, publishes_truth: bool, publishes_clock: bool) -> None:
+        make = node.create_publisher
+        self._daq = make(PointCloud2, "daq/samples", qos.BLOCKS)
+        self._truth = make(PointCloud2, "truth/samples", qos.BLOCKS) if publishes_truth else None
+        self._state = make(JointState, "pad/state", qos.BLOCKS)
+        self._wrench = make(WrenchStamped, "contact/wrench", qos.BLOCKS)
+        self._description = make(String, "rig/description", qos.LATCHED)
+        self._clock = make(Clock, "/clock", qos.BLOCKS) if publishes_clock else None
+        self._end: int | None = None
+
+    def restart_stamp(self, now: int) -> int:
+        """The t0 to start from anew [ns]: now, but simulated time goes on where it stopped."""
+        return now if self._clock is None or self._end is None else self._end
+
+    def publish(self, block: Block, p: RigParameters, drum_radius: float) -> None:
+        """Publish a block and what follows from it."""
+        self._daq.publish(cloud(block.daq, block.stamp))
+        if self._truth is not None and block.truth is not None:
+            self._truth.publish(cloud(block.truth, block.stamp))
+        means = block_means(block, p, drum_radius)
+        self._state.publish(joint_state(block.stamp, means.position, means.velocity))
+        self._wrench.publish(wrench(block.stamp, means.tangential, means.normal))
+        self._end = block.stamp + _BLOCK_NS
+        if self._clock is not None:
+            self._clock.publish(Clock(clock=time_message(self._end)))
+
+    def describe(self, description: RigDescription) -> None:
+        """Publish the description, latched."""
+        self._description.publish(String(data=description.to_yaml()))

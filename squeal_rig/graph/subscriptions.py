@@ -1,0 +1,107 @@
+"""Subscribes raw to wanted topics as they appear in the graph, with a request that every publisher meets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+
+from squeal_rig.errors import RecordingError
+from squeal_rig.graph.interfaces import message_class, offered_qos, requested_qos
+from squeal_rig.graph.lifetime import STEADY
+from squeal_rig.recording import QosProfile
+from squeal_rig.recording.replay import matching_topics
+
+_DISCOVERY_PERIOD = 0.1
+_ADAPT_EVERY = 10  # rounds of discovery
+
+Taken = Callable[[bytes, Any], None]
+
+
+@dataclass
+class _Topic:
+    type_name: str
+    taken: Taken
+    request: QoSProfile
+    subscription: Any
+
+
+class TopicSubscriptions:
+    """Follows the graph.
+
+    `found` is called with (topic, type, offered QoS) for a topic that is new, and returns what takes its messages; it
+    may raise RecordingError, which puts the topic into `unknown` with the reason. `lost` counts messages that the
+    middleware says it dropped.
+    """
+
+    def __init__(
+        self, node: Node, patterns: Sequence[str], found: Callable[[str, str, list[QosProfile]], Taken]
+    ) -> None:
+        self._node = node
+        self._found = found
+        self._patterns = [p if "*" in p or "?" in p else node.resolve_topic_name(p) for p in patterns]
+        self._topics: dict[str, _Topic] = {}
+        self._round = 0
+        self.unknown: dict[str, str] = {}
+        self.lost = 0
+        node.create_timer(_DISCOVERY_PERIOD, self.discover, clock=STEADY)
+
+    def __len__(self) -> int:
+        return len(self._topics)
+
+    def discover(self) -> None:
+        """Subscribe to wanted topics that have a publisher by now."""
+        self._round += 1
+        present = self._node.get_topic_names_and_types()
+        names = [name for name, _ in present]
+        wanted = names if "*" in self._patterns else set(matching_topics(names, self._patterns))
+        for topic, types in present:
+            if topic in wanted and topic not in self.unknown:
+                known = self._topics.get(topic)
+                if known is None or self._round % _ADAPT_EVERY == 0:
+                    offered = [offered_qos(end) for end in self._node.get_publishers_info_by_topic(topic)]
+                    if offered and known is None:
+                        self._begin(topic, types, offered)
+                    elif offered and known is not None:
+                        self._adapt(topic, known, offered)
+
+    def _begin(self, topic: str, types: Sequence[str], offered: list[QosProfile]) -> None:
+        try:
+            if len(types) > 1:
+                raise RecordingError(f"it has several types: {', '.join(types)}")
+            message_class(types[0])
+            taken = self._found(topic, types[0], offered)
+        except RecordingError as error:
+            self.unknown[topic] = str(error)
+            self._node.get_logger().warning(f"{topic} is not recorded: {error}")
+            return
+        request = requested_qos(offered)
+        self._topics[topic] = _Topic(types[0], taken, request, self._subscribe(topic, types[0], taken, request))
+
+    def _adapt(self, topic: str, known: _Topic, offered: list[QosProfile]) -> None:
+        """Ask for less where a publisher that came later offers less; never for more."""
+        request = requested_qos(offered)
+        now = known.request
+        if (request.reliability, request.durability) == (now.reliability, now.durability):
+            return
+        if request.reliability > now.reliability or request.durability > now.durability:  # a larger number is weaker
+            self._node.get_logger().info(f"{topic}: asking for less, since a new publisher offers less")
+            self._node.destroy_subscription(known.subscription)
+            known.request, known.subscription = request, self._subscribe(topic, known.type_name, known.taken, request)
+
+    def _subscribe(self, topic: str, type_name: str, taken: Taken, request: QoSProfile) -> Any:
+        return self._node.create_subscription(
+            message_class(type_name),
+            topic,
+            taken,
+            request,
+            raw=True,
+            event_callbacks=SubscriptionEventCallbacks(message_lost=self._on_lost),
+        )
+
+    def _on_lost(self, info: Any) -> None:
+        self.lost += info.total_count_change

@@ -1,0 +1,58 @@
+"""Compiled kernels: one decorator for all of them, with the compiled code cached on disk."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar, cast
+
+import numba
+
+F = TypeVar("F", bound=Callable[..., object])
+
+_FUSED: dict[str, object] = {"fastmath": {"contract"}, "_nrt": False}
+
+
+def kernel(function: F) -> F:
+    """Compile on the first call (never at import), cache on disk, release the GIL.
+
+    `error_model="numpy"` keeps a division by zero an inf for the caller's status code, as in numpy.
+    """
+    return _compiled(function)
+
+
+def fused_kernel(function: F) -> F:
+    """As `kernel`, for inner loops: faster, never less exact.
+
+    a*b + c may be rounded once instead of twice (fused multiply-add; no other liberty with floating point is taken).
+    The last bit may differ between kinds of processor. Arrays cannot be made inside, so none is counted either:
+    numba's reference counts are atomic, and cost several times what a short function computes.
+    """
+    return _compiled(function, **_FUSED)
+
+
+def inlined_kernel(function: F) -> F:
+    """As `fused_kernel`, and made part of its callers' code."""
+    return _compiled(function, **_FUSED, forceinline=True)
+
+
+def _digest_of_the_model() -> str:
+    """Digest of all sources of the model: any of them may be compiled into any kernel, a constant among them."""
+    contents = [path.read_bytes() for path in sorted(Path(__file__).parents[1].rglob("*.py"))]
+    return hashlib.sha256(b"\0".join(contents)).hexdigest()[:12]
+
+
+_DIGEST = _digest_of_the_model()
+
+
+def _compiled(function: F, **more: object) -> F:
+    # Of cached code numba checks the age of the kernel's own file only, yet kernels and constants of other files are
+    # compiled into it. With the digest in its name, code made from other sources is never taken.
+    function.__qualname__ += f"-{_DIGEST}"
+    options: dict[str, object] = {"nogil": True, "error_model": "numpy", **more}
+    try:
+        compiled = numba.njit(cache=True, **options)(function)
+    except RuntimeError:  # neither beside the source nor in the user's cache can be written: compiled at each start
+        compiled = numba.njit(**options)(function)
+    return cast(F, compiled)

@@ -1,0 +1,1 @@
+"""The linear model: eigenvalues, critical stiffness, maps."""

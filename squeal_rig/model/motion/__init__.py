@@ -1,0 +1,1 @@
+"""The motion of the pad in time: engines, trajectories, ensembles."""

@@ -1,0 +1,334 @@
+"""The exact engine: polynomial maps between samples, contact events to rounding.
+
+Plain steps (`_glide`) are the maps of `propagator`, four at a time. A step is taken only where it is
+proven:
+- the arms' rotation lies in its small range (|x|, |y| <= NEAR at both ends; NaN fails this too);
+- the pad cannot meet or leave the belt within the step: |y(s) - chord| <= h^2/8 max|y''|, so a start and an end
+  further than that from L_pre exclude any crossing, double ones included. A bound of max|y''| for the whole small range
+  decides nearly always; one for the state at hand decides where the pad is close to the edge.
+Every other step is careful (`careful_step`): Taylor series (`near` in the small range, else the full
+nonlinear equations of `series`) to the first zero of y - L_pre (or of V - vx where friction sees
+|V - vx|), from there in the other mode, and so on to the end of the step, in pieces no longer than the series is exact
+to rounding. So far motions and slip friction are slower, never wrong.
+
+The maps are evaluated anew at each fourth step, counted on through all blocks, and after each event. So blocks of any
+length give the bits of one run, and so does a state of which a new run starts after a multiple of four steps; after
+another number the same to rounding.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from squeal_rig.errors import ModelError
+from squeal_rig.model.core.dynamics import (
+    K_C,
+    L_PRE,
+    MU,
+    SLIP_DIRECTION,
+    SLIP_SPEED,
+    SPEED,
+    Vector,
+    acceleration,
+    friction_ratio,
+)
+from squeal_rig.model.core.kernel import fused_kernel, inlined_kernel
+from squeal_rig.model.motion.cubic import evaluate_all
+from squeal_rig.model.motion.near import NEAR_ORDER, evaluate_near, expand_near, first_zero_near
+from squeal_rig.model.motion.propagator import (
+    AHEAD,
+    ALL_PASSED,
+    BOUND,
+    CONTACT_LIMITS,
+    FLOW_SIZE,
+    GX,
+    NEAR,
+    OFF_BELT,
+    OFF_BELT_LIMITS,
+    PASSED,
+    PATH,
+    STEP,
+    STEPS,
+    TUBE,
+)
+from squeal_rig.model.motion.series import (
+    EVENT,
+    MAX_ORDER,
+    ROWS,
+    X,
+    Y,
+    evaluate,
+    expand,
+    first_zero,
+    rests_on_edge,
+    share_before_tanh_turns,
+    trusted_share,
+)
+
+#: Columns of a recorded event: time from the start of the block [s], vy [m/s] (above 0: the pad leaves the belt).
+EVENT_TIME, EVENT_SPEED = 0, 1
+# What is counted over a block.
+CONTACT_TIME, SEPARATIONS, EVENTS, SINCE = range(4)
+TALLY_SIZE = 4
+#: How a block ended.
+DONE, NOT_FINITE, STUCK = 0, 1, 2
+
+_CACHE_LINE = 8  # numbers in it
+# Beyond the near range; rate times step is at most 0.25, faster changes shorten the step.
+_FULL_ORDER, _FULL_ARM_ORDER = 14, 12
+_MAX_PIECES = 100_000
+# Where a diverging motion is given up: long before its numbers overflow.
+_BEYOND_M, _BEYOND_M_S = 1e6, 1e12
+
+
+def workspace() -> Vector:
+    """Room for the Taylor series of one motion."""
+    return np.zeros((ROWS, MAX_ORDER + 1))
+
+
+def empty_flow() -> Vector:
+    """Room for the propagators of one set of parameters, from the start of a cache line on: vector loads are faster."""
+    room = np.zeros(FLOW_SIZE + _CACHE_LINE)
+    first = -(room.ctypes.data // room.itemsize) % _CACHE_LINE
+    return room[first : first + FLOW_SIZE]
+
+
+def refuse_unless_done(ended: int, time: float) -> None:
+    """The status of a block as an error sentence; `time` [s] is how far into the block it came.
+
+    Raises:
+        ModelError: the motion left every bound, or changes too fast to be followed.
+    """
+    if ended == NOT_FINITE:
+        raise ModelError(f"the motion left every bound {time:.4g} s into the block: no state to go on from")
+    if ended == STUCK:
+        raise ModelError(
+            f"the motion cannot be followed {time:.4g} s into the block:"
+            f" a step would need more than {_MAX_PIECES} pieces"
+        )
+
+
+@fused_kernel
+def is_in_contact(state: Vector, q: Vector) -> bool:
+    """Whether the contact spring acts just after a state: by y, at y = L_pre by vy, then by the acceleration."""
+    gap = state[1] - q[L_PRE]
+    if gap == 0.0:
+        gap = state[3]
+    if gap == 0.0:
+        gap = acceleration(state[0], state[1], state[2], state[3], q)[1]
+    return bool(gap <= 0.0)
+
+
+@fused_kernel
+def _slip_sign(state: Vector, q: Vector) -> float:
+    """Sign of V - vx just after a state; only friction that sees |V - vx| asks."""
+    slip = q[SPEED] - state[2]
+    if slip == 0.0:
+        slip = -acceleration(state[0], state[1], state[2], state[3], q)[0]
+    return 1.0 if slip >= 0.0 else -1.0
+
+
+@inlined_kernel
+def next_piece(state: Vector, q: Vector, flow: Vector, rest: float, w: Vector) -> tuple[float, int, int]:
+    """Expand the path from `state` in the workspace `w` over `rest` [s].
+
+    Returns how far it may be followed, as a share of `rest`; the order of the series; and what ends it there: 0 its
+    accuracy or the end of the step, 1 a contact event, 2 V - vx = 0.
+    """
+    slips = q[SLIP_SPEED] > 0.0 or q[SLIP_DIRECTION] > 0.0
+    if slips or rest > flow[STEP] or not max(abs(state[0]), abs(state[1])) <= flow[NEAR]:
+        return _far_piece(state, q, flow, rest, w)
+    gap = state[1] - q[L_PRE]
+    contact = gap < 0.0 or (gap == 0.0 and (state[3] < 0.0 or (state[3] == 0.0 and is_in_contact(state, q))))
+    size, slope, end = expand_near(state, q, flow, contact, rest, w)
+    share, found = first_zero_near(w, gap, size, slope, end)
+    return share, NEAR_ORDER, 1 if found else 0
+
+
+@fused_kernel
+def _far_piece(state: Vector, q: Vector, flow: Vector, rest: float, w: Vector) -> tuple[float, int, int]:
+    """`next_piece` by the full nonlinear equations."""
+    contact = is_in_contact(state, q)
+    kinked = q[SLIP_SPEED] > 0.0
+    gap = state[1] - q[L_PRE]
+    order, what = _FULL_ORDER, 0
+    expand(state, q, flow, contact, _slip_sign(state, q), rest, _FULL_ORDER, _FULL_ARM_ORDER, w)
+    share = trusted_share(w, order)
+    if contact and q[SLIP_DIRECTION] > 0.0:
+        share = share_before_tanh_turns(w, order, share)
+    if not rests_on_edge(gap, state[1], w):
+        w[Y, 0] = gap
+        share, found = first_zero(w[Y, : order + 1], share)
+        w[Y, 0] = state[1]
+        what = 1 if found else 0
+    if kinked:
+        for n in range(order):
+            w[EVENT, n] = -(n + 1) * w[X, n + 1] / rest
+        w[EVENT, 0] = q[SPEED] - state[2]
+        clear, found = first_zero(w[EVENT, :order], share)
+        if clear < share:
+            share, what = clear, 2 if found else 0
+    return share, order, what
+
+
+@inlined_kernel
+def careful_step(
+    state: Vector, q: Vector, flow: Vector, start: float, h: float, w: Vector, tally: Vector, events: Vector
+) -> int:
+    """Carry `state` over h [s] through every event on the way; `start` is the time in the block [s]."""
+    rest = h
+    for _ in range(_MAX_PIECES):
+        share, order, what = next_piece(state, q, flow, rest, w)
+        if not share > 0.0:
+            break
+        if order == NEAR_ORDER:
+            evaluate_near(w, share, rest, state)
+        else:
+            evaluate(w, order, share, rest, state)
+        rest *= 1.0 - share
+        if what == 1:
+            state[1] = q[L_PRE]
+            _count_event(state[3], start + (h - rest), tally, events)
+        elif what == 2:
+            state[2] = q[SPEED]
+        if rest <= 0.0:
+            break
+    # NaN fails this too.
+    if not (abs(state[0]) + abs(state[1]) <= _BEYOND_M and abs(state[2]) + abs(state[3]) <= _BEYOND_M_S):
+        return NOT_FINITE
+    return DONE if rest <= 0.0 else STUCK
+
+
+@inlined_kernel
+def _count_event(vy: float, time: float, tally: Vector, events: Vector) -> None:
+    """Count one contact event, and record it while there is room."""
+    if vy > 0.0:
+        tally[CONTACT_TIME] += time - tally[SINCE]
+        tally[SEPARATIONS] += 1.0
+    tally[SINCE] = time
+    n = int(tally[EVENTS])
+    if n < events.shape[0]:
+        events[n, EVENT_TIME], events[n, EVENT_SPEED] = time, vy
+    tally[EVENTS] += 1.0
+
+
+@inlined_kernel
+def _cannot_cross(
+    x: float, y: float, vx: float, vy: float, next_y: float, edge: float, contact: bool, h: float, limits: Vector
+) -> bool:
+    """Whether both ends of a step are on the mode's side of the edge, further than y can be from its chord."""
+    bound = limits[BOUND] + limits[BOUND + 1] * abs(x) + limits[BOUND + 2] * abs(y)
+    bound += limits[BOUND + 3] * abs(vx) + limits[BOUND + 4] * abs(vy)
+    room = min(abs(y - edge), abs(next_y - edge))
+    return bool(room > 0.125 * h * h * bound and (next_y < edge) == contact)
+
+
+@inlined_kernel
+def _first_not_passed(state: Vector, flow: Vector) -> int:
+    """Where in the path kept from the last block the next state begins; at its end where it does not lead on."""
+    k = int(flow[PASSED])
+    for i in range(4):
+        # A state that somebody changed meanwhile is on no path. At 0 there is nothing to compare with.
+        if k < 4 or flow[PATH + k - 4 + i] != state[i]:
+            return ALL_PASSED
+    return k
+
+
+@fused_kernel
+def _glide(
+    state: Vector,
+    q: Vector,
+    flow: Vector,
+    contact: bool,
+    substeps: int,
+    first: int,
+    steps: int,
+    out: Vector,
+) -> int:
+    """Plain steps from number `first` on, up to `steps` or the first that is not proven; samples on the way to `out`.
+
+    Returns the number of the step not taken; `state` is its start, and already in `out` where it is a sample.
+    """
+    path, m = flow[PATH:PASSED], flow[:OFF_BELT] if contact else flow[OFF_BELT:CONTACT_LIMITS]
+    limits = flow[CONTACT_LIMITS:OFF_BELT_LIMITS] if contact else flow[OFF_BELT_LIMITS:GX]
+    stiffness, edge, mu, h, tube = q[K_C], q[L_PRE], q[MU], flow[STEP], limits[TUBE]
+    slips = q[SLIP_SPEED] > 0.0 or q[SLIP_DIRECTION] > 0.0
+    near = -1.0 if slips else flow[NEAR]
+    low, high = (-near, min(near, edge - tube)) if contact else (max(-near, edge + tube), near)
+    x, y, vx, vy = state[0], state[1], state[2], state[3]
+    clear = low < y < high and abs(x) < near
+    sample = first // substeps
+    past_sample = first - sample * substeps
+    before = int(flow[STEPS])
+    k = _first_not_passed(state, flow)
+    flow[PASSED] = ALL_PASSED
+    for n in range(first, steps):
+        if k == ALL_PASSED or (n + before) & (AHEAD - 1) == 0:
+            evaluate_all(m, x, y, vx, vy, path)
+            k = 0
+        if past_sample == 0:
+            normal = stiffness * max(0.0, edge - y)
+            out[sample, 0], out[sample, 1], out[sample, 2], out[sample, 3] = x, y, vx, vy
+            out[sample, 4], out[sample, 5] = normal, (friction_ratio(vx, q) if slips else mu) * normal
+        next_x, next_y = path[k], path[k + 1]
+        next_clear = low < next_y < high and abs(next_x) < near
+        if not (clear and next_clear):
+            reach = max(abs(x), abs(y), abs(next_x), abs(next_y))
+            if not (reach <= near and _cannot_cross(x, y, vx, vy, next_y, edge, contact, h, limits)):
+                state[0], state[1], state[2], state[3] = x, y, vx, vy
+                return n
+        clear = next_clear
+        x, y, vx, vy = next_x, next_y, path[k + 2], path[k + 3]
+        k, past_sample = k + 4, past_sample + 1
+        if past_sample == substeps:
+            sample, past_sample = sample + 1, 0
+    state[0], state[1], state[2], state[3] = x, y, vx, vy
+    flow[PASSED] = k
+    return steps
+
+
+@fused_kernel
+def advance(
+    state: Vector,
+    q: Vector,
+    flow: Vector,
+    substeps: int,
+    w: Vector,
+    tally: Vector,
+    events: Vector,
+    out: Vector,
+) -> tuple[int, int]:
+    """Fill `out` (n, 6) with samples x, y, vx, vy, N, F_t from `state` (4,) on, which ends one interval after the
+    last.
+
+    Args:
+        state: x, y, vx, vy [m, m/s].
+        q: packed parameters.
+        flow: their propagators.
+        substeps: steps per output interval.
+        w: workspace.
+        tally: contact time [s], separations and events are added up in it; event times in a block start at 0.
+        events: room (m, 2) for the first m events of the block.
+        out: room for the samples.
+
+    Returns:
+        how the block ended, and the number of samples filled.
+    """
+    h = flow[STEP]
+    contact = is_in_contact(state, q)
+    tally[SINCE], tally[EVENTS] = 0.0, 0.0
+    steps = out.shape[0] * substeps
+    step = 0
+    while True:
+        step = _glide(state, q, flow, contact, substeps, step, steps, out)
+        if step == steps:
+            break
+        ended = careful_step(state, q, flow, step * h, h, w, tally, events)
+        step += 1
+        if ended != DONE:
+            return ended, (step - 1) // substeps + 1
+        contact = is_in_contact(state, q)
+    flow[STEPS] = (int(flow[STEPS]) + steps) % AHEAD
+    if contact:
+        tally[CONTACT_TIME] += steps * h - tally[SINCE]
+    return DONE, out.shape[0]

@@ -1,0 +1,203 @@
+"""Trajectories of the nonlinear model, Eq. (2.3): one call, or block by block."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from squeal_rig.errors import ParameterError
+from squeal_rig.model.core.dynamics import Vector, pack
+from squeal_rig.model.core.statics import equilibrium
+from squeal_rig.model.motion import exact, propagator, rk4
+from squeal_rig.model.parameters import RigParameters
+
+ENGINES = ("exact", "rk4")
+DEFAULT_ENGINE = "exact"
+#: Longest step [s] of the Runge-Kutta engine unless one is asked for: about 1/1000 of a squeal period.
+DEFAULT_STEP = 1e-6
+#: Share of the shorter arm above which "displacements small against L" no longer holds.
+LARGE_DISPLACEMENT = 0.01
+_START_COMPRESSIONS = 0.1
+_MAX_SAMPLES = 2**31
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """A sampled motion of the pad. Arrays are float64 (n,): t [s], x, y [m], vx, vy [m/s], forces on the pad [N]."""
+
+    t: Vector
+    x: Vector
+    y: Vector
+    vx: Vector
+    vy: Vector
+    normal_force: Vector
+    tangential_force: Vector
+    warnings: tuple[str, ...]
+
+
+class Motion:
+    """The pad in motion, resumable block by block; parameters may change between blocks.
+
+    Args:
+        p: parameters.
+        sample_rate: samples per second [Hz].
+        state: start (x, y, vx, vy) [m, m/s]; the equilibrium when None.
+        engine: one of `ENGINES`.
+        step: longest step [s]; when None `DEFAULT_STEP` for "rk4", no bound but its own for "exact".
+
+    Raises:
+        ParameterError: an argument is out of its bounds.
+        ModelError: no state was given and there is no equilibrium in contact.
+    """
+
+    def __init__(
+        self,
+        p: RigParameters,
+        sample_rate: float,
+        state: ArrayLike | None = None,
+        engine: str = DEFAULT_ENGINE,
+        step: float | None = None,
+    ) -> None:
+        if engine not in ENGINES:
+            raise ParameterError(f"engine = {engine!r} is not known: it must be one of {', '.join(ENGINES)}")
+        if not (math.isfinite(sample_rate) and sample_rate > 0.0):
+            raise ParameterError(f"sample_rate = {sample_rate} Hz is out of bounds: it must be above 0 Hz")
+        if step is not None and not (math.isfinite(step) and step > 0.0):
+            raise ParameterError(f"step = {step} s is out of bounds: it must be above 0 s")
+        self._engine = engine
+        self._interval = 1.0 / sample_rate
+        self._longest_step = step
+        self._flow, self._workspace = exact.empty_flow(), exact.workspace()
+        self._tally, self._events = np.zeros(exact.TALLY_SIZE), np.empty((0, 2))
+        self._state: Vector = resting_state(p) if state is None else _checked_state(state)
+        self.set_parameters(p)
+
+    @property
+    def state(self) -> Vector:
+        """Copy of the state (x, y, vx, vy) [m, m/s] at the start of the next block."""
+        return np.array(self._state)
+
+    def set_parameters(self, p: RigParameters) -> None:
+        """Take new parameters from the next block on; the exact engine's propagators cost some 0.05 ms."""
+        self.parameters = p
+        self._packed = pack(p)
+        if self._engine == "rk4":
+            longest = DEFAULT_STEP if self._longest_step is None else self._longest_step
+            self._substeps = max(1, math.ceil(self._interval / longest * (1.0 - 1e-12)))
+            return
+        longest = self._interval if self._longest_step is None else self._longest_step
+        self._substeps = propagator.substeps_needed(self._packed, self._interval, longest)
+        propagator.propagators(self._packed, self._interval / self._substeps, self._flow)
+
+    def set_state(self, state: ArrayLike) -> None:
+        """Put the pad into the state (x, y, vx, vy) [m, m/s]."""
+        self._state = _checked_state(state)
+
+    def kick(self, dvx: float, dvy: float) -> None:
+        """Change the pad's velocity [m/s] at once: an impact of mass times that change."""
+        self._state[2] += dvx
+        self._state[3] += dvy
+
+    def advance(self, out: Vector) -> None:
+        """Fill `out` (n, 6) with x, y, vx, vy, N, F_t at the next n samples.
+
+        Raises:
+            ModelError: the motion left every bound.
+        """
+        if self._engine == "rk4":
+            filled = rk4.advance(self._state, self._packed, self._interval, self._substeps, out)
+            ended = exact.DONE if filled == len(out) else exact.NOT_FINITE
+        else:
+            ended, filled = exact.advance(
+                self._state,
+                self._packed,
+                self._flow,
+                self._substeps,
+                self._workspace,
+                self._tally,
+                self._events,
+                out,
+            )
+        exact.refuse_unless_done(ended, filled * self._interval)
+
+
+def resting_state(p: RigParameters) -> Vector:
+    """State (x, y, 0, 0) at the exact equilibrium."""
+    x, y = equilibrium(p)
+    return np.array([x, y, 0.0, 0.0])
+
+
+def displaced_state(p: RigParameters, compressions: float) -> Vector:
+    """At rest, displaced from the equilibrium towards the belt by a number of static compressions u = N*/k_c."""
+    state = resting_state(p)
+    state[1] -= compressions * (p.pretension_length - state[1])
+    return state
+
+
+def simulate(
+    p: RigParameters,
+    duration: float,
+    sample_rate: float = 51200.0,
+    initial_state: ArrayLike | None = None,
+    engine: str = DEFAULT_ENGINE,
+    step: float | None = None,
+) -> Trajectory:
+    """Integrate Eq. (2.3) from t = 0 and sample it.
+
+    Args:
+        p: parameters.
+        duration: time simulated [s]; the last sample is at or just before it.
+        sample_rate: samples per second [Hz].
+        initial_state: (x, y, vx, vy) [m, m/s]; when None the pad starts at rest, 0.1 static compressions
+            off the equilibrium, towards the belt.
+        engine: "exact", exact linear flow between contact events located to rounding (`exact`), or
+            "rk4", fixed steps straight through contact events, as in the paper.
+        step: longest step [s]; when None 1e-6 for "rk4", no bound but its own for "exact".
+
+    Raises:
+        ParameterError: an argument is out of its bounds.
+        ModelError: no equilibrium in contact to start from, or the motion left every bound.
+    """
+    if not (math.isfinite(duration) and duration > 0.0):
+        raise ParameterError(f"duration = {duration} s is out of bounds: it must be above 0 s")
+    start = displaced_state(p, _START_COMPRESSIONS) if initial_state is None else initial_state
+    motion = Motion(p, sample_rate, start, engine, step)
+    samples = duration * sample_rate
+    if samples >= _MAX_SAMPLES:
+        raise ParameterError(
+            f"duration times sample_rate = {samples:.4g} samples is out of bounds: at most {_MAX_SAMPLES}"
+        )
+    out = np.empty((int(samples * (1.0 + 1e-12)) + 1, rk4.COLUMNS))
+    motion.advance(out)
+    x, y, vx, vy, normal, tangential = (np.ascontiguousarray(column) for column in out.T)
+    t = np.arange(len(out)) / sample_rate
+    return Trajectory(t, x, y, vx, vy, normal, tangential, tuple(validity_warnings(p, out)))
+
+
+def validity_warnings(p: RigParameters, samples: Vector) -> list[str]:
+    """Sentences where a block of samples (n, 6) left what the printed model assumes (the paper's section 3)."""
+    warnings = []
+    fastest = float(np.max(samples[:, rk4.VX], initial=-math.inf))
+    if p.friction_direction == "constant" and fastest > p.belt_speed:
+        warnings.append(
+            f"the pad's speed along the belt reached {fastest:.4g} m/s, above the belt speed {p.belt_speed:g} m/s:"
+            " the printed direction of friction does not hold there"
+        )
+    largest = float(np.max(np.abs(samples[:, : rk4.VX]), initial=0.0))
+    arm = min(p.arm_length_1, p.arm_length_2)
+    if largest > LARGE_DISPLACEMENT * arm:
+        warnings.append(
+            f"the pad's displacement reached {largest:.4g} m, above {LARGE_DISPLACEMENT:g} of the arm length {arm:g} m:"
+            " not squeal, the model's small displacements do not hold there"
+        )
+    return warnings
+
+
+def _checked_state(state: ArrayLike) -> Vector:
+    values = np.array(state, dtype=np.float64)
+    if values.shape != (4,) or not np.isfinite(values).all():
+        raise ParameterError(f"initial_state = {state!r} must be four finite numbers: x, y [m], vx, vy [m/s]")
+    return values

@@ -1,0 +1,1 @@
+"""Samples out of bags: blocks joined, columns, files of other tools."""

@@ -1,0 +1,1 @@
+"""A running session: nodes as processes, the live console, the demo."""

@@ -1,0 +1,47 @@
+"""The demo: a scripted run, its bag, its replay through a fresh estimator, its picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rich.console import Console
+
+from squeal_rig.analysis.segments import analyse_bag
+from squeal_rig.configuration.files import config_directory
+from squeal_rig.experiments.plan import load_plan
+from squeal_rig.report.run_figure import draw_run
+from squeal_rig.report.tables import segment_table
+from squeal_rig.session.replay_check import replay_and_compare
+from squeal_rig.session.run import SessionOptions, SignalWatch, private_domain, run_session
+
+_REPLAY_RATE = 2.0
+
+
+def run_demo(bag: Path, console: Console) -> int:
+    """Run the plan `demo` on a private ROS domain, record, replay, compare, draw; returns the exit code."""
+    private_domain()
+    watch = SignalWatch()
+    config = config_directory() / "rig.yaml"
+    plan = load_plan(config_directory() / "plans" / "demo.yaml")
+    console.print(f"[bold]{plan.title}[/bold]: {plan.duration:g} s of a virtual rig, recorded to {bag}")
+    result = run_session(SessionOptions(config, bag, plan), console, watch)
+    if result.interrupted:
+        console.print("ended by the operator; the bag holds what was recorded until then")
+        return 130
+    failed = {name: code for name, code in result.exit_codes.items() if code != 0}
+    if failed:
+        console.print(f"nodes that did not end well: {failed}")
+        return 1
+    console.print(f"replaying at {_REPLAY_RATE:g} times the speed through a fresh estimator ...")
+    comparison = replay_and_compare(bag, config, _REPLAY_RATE, watch)
+    verdict = "the same, number for number" if comparison.same else "NOT the same"
+    console.print(
+        f"windows: {comparison.live} live, {comparison.replayed} replayed,"
+        f" {comparison.equal} equal in every bit: {verdict}"
+    )
+    analysis = analyse_bag(bag)
+    console.print(segment_table(analysis))
+    picture = bag / "report.png"
+    draw_run(analysis, picture)
+    console.print(f"bag: {bag}\npicture: {picture}")
+    return 0 if comparison.same else 1

@@ -1,0 +1,198 @@
+"""The live graph as the command line sees it: the rig's state, and experiments' `Rig` on it."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import PointCloud2
+from std_srvs.srv import Trigger
+
+from squeal_rig.errors import ExperimentError, RecordingError
+from squeal_rig.graph import qos
+from squeal_rig.graph.conversions import status_number, status_values
+from squeal_rig.instruments.channels import DAQ_CHANNELS, FRICTION_WINDOW_CHANNELS, block_from_cdr
+
+# Discovery of a service took up to 2.3 s where it was measured.
+_SERVICE_TIMEOUT = 10.0
+_STALL_TIMEOUT = 10.0
+_SPIN = 0.05
+
+
+@dataclass
+class LiveState:
+    """What the graph last told; nan and None where it has not yet."""
+
+    sampled_time: float = math.nan
+    preload: float = math.nan
+    belt_speed: float = math.nan
+    mu_set: float = math.nan
+    mu_estimated: float = math.nan
+    mu_ratio_of_means: float = math.nan
+    pad_stiffness: float = math.nan
+    critical_stiffness: float = math.nan
+    margin: float = math.nan
+    unstable: bool | None = None
+    squealing: bool | None = None
+    level: float = math.nan
+    frequency: float = math.nan
+    recorded_bytes: int | None = None
+    health: dict[str, tuple[int, str]] = field(default_factory=dict)
+
+
+class LiveGraph:
+    """A node of the command line on the live graph: keeps `LiveState`, and is the `Rig` that plans run against.
+
+    Args:
+        watched: called now and then while waiting; it may raise to end the wait.
+    """
+
+    def __init__(self, watched: Callable[[], None]) -> None:
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        self._node = Node("console")
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self._node)
+        self._watched = watched
+        self._samples = 0
+        self._interval = math.nan
+        self._last_seq: int | None = None
+        self.state = LiveState()
+        self.windows: list[Any] = []
+        self.on_spin: Callable[[], None] = lambda: None
+        subscribe = self._node.create_subscription
+        subscribe(PointCloud2, "daq/samples", self._on_daq, qos.BLOCKS, raw=True)
+        subscribe(PointCloud2, "friction/windows", self._on_window, qos.EVENTS, raw=True)
+        subscribe(DiagnosticArray, "stability/summary", self._on_stability, qos.LATCHED)
+        subscribe(DiagnosticArray, "squeal/state", self._on_squeal, qos.EVENTS)
+        subscribe(DiagnosticArray, "/diagnostics", self._on_health, qos.EVENTS)
+        self._set = self._node.create_client(SetParametersAtomically, "rig/set_parameters_atomically")
+        self._change_state = self._node.create_client(ChangeState, "rig/change_state")
+        self._triggers = {
+            name: self._node.create_client(Trigger, f"rig/{name}") for name in ("reset", "impact", "zero")
+        }
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._node.destroy_node()
+        rclpy.try_shutdown()
+
+    def spin(self, seconds: float = _SPIN) -> None:
+        """Take what comes for that long [s]."""
+        deadline = time.monotonic() + seconds
+        while (left := deadline - time.monotonic()) > 0.0:
+            self._executor.spin_once(timeout_sec=left)
+        self._watched()
+        self.on_spin()
+
+    def listeners(self, topic: str) -> int:
+        """Subscribers to a topic that the graph knows of."""
+        return self._node.count_subscribers(self._node.resolve_topic_name(topic))
+
+    def transition(self, number: int, timeout: float) -> None:
+        """Take the rig through a lifecycle transition; `ExperimentError` when it fails."""
+        request = ChangeState.Request(transition=Transition(id=number))
+        if not self._answer(self._change_state, request, timeout).success:
+            raise ExperimentError("the rig could not be configured or activated: see its log")
+
+    def wait_for(self, condition: Callable[[], bool], what: str, timeout: float) -> None:
+        """Spin until a condition holds; `ExperimentError` after `timeout` [s]."""
+        deadline = time.monotonic() + timeout
+        while not condition():
+            if time.monotonic() > deadline:
+                raise ExperimentError(f"{what} did not come within {timeout:g} s")
+            self.spin()
+
+    # --- the plan's Rig
+
+    def set_parameters(self, values: Mapping[str, float | str]) -> None:
+        """Set parameters of the rig, all or none."""
+        request = SetParametersAtomically.Request(
+            parameters=[Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+        )
+        result = self._answer(self._set, request).result
+        if not result.successful:
+            raise ExperimentError(f"the rig refused {dict(values)}: {result.reason or 'unknown parameter'}")
+
+    def call(self, service: str) -> str:
+        """Call one of the rig's trigger services."""
+        response = self._answer(self._triggers[service], Trigger.Request())
+        if not response.success:
+            raise ExperimentError(f"the rig refused {service}: {response.message}")
+        return str(response.message)
+
+    def sampled_time(self) -> float:
+        """Time sampled since this node joined [s]."""
+        return self._samples * self._interval if self._samples else 0.0
+
+    def wait_until(self, sampled_time: float) -> None:
+        """Spin until that much has been sampled; `ExperimentError` when samples stop coming."""
+        last, moved = self.sampled_time(), time.monotonic()
+        while (now := self.sampled_time()) < sampled_time:
+            if now > last:
+                last, moved = now, time.monotonic()
+            elif time.monotonic() - moved > _STALL_TIMEOUT:
+                raise ExperimentError(f"no block of samples came for {_STALL_TIMEOUT:g} s")
+            self.spin()
+
+    def _answer(self, client: Any, request: Any, timeout: float = _SERVICE_TIMEOUT) -> Any:
+        self.wait_for(client.service_is_ready, f"service {client.srv_name}", timeout)
+        future = client.call_async(request)
+        self.wait_for(future.done, f"the answer of {client.srv_name}", timeout)
+        return future.result()
+
+    # --- what comes
+
+    def _on_daq(self, data: bytes) -> None:
+        try:
+            daq = block_from_cdr(data, DAQ_CHANNELS).samples
+        except RecordingError:
+            return  # the estimator counts and reports refused blocks
+        last = int(daq["seq"][-1])
+        self._samples += len(daq) if self._last_seq is None else (last - self._last_seq) % 2**32
+        self._last_seq = last
+        if len(daq) > 1:
+            self._interval = float(daq["t"][1] - daq["t"][0])
+        self.state.sampled_time = self.sampled_time()
+        self.state.preload, self.state.belt_speed = float(daq["preload"][-1]), float(daq["belt_speed"][-1])
+
+    def _on_window(self, data: bytes) -> None:
+        try:
+            window = block_from_cdr(data, FRICTION_WINDOW_CHANNELS).samples[0]
+        except RecordingError:
+            return
+        self.windows.append(window)
+        self.state.mu_estimated = float(window["mu"])
+        self.state.mu_ratio_of_means = float(window["mu_ratio_of_means"])
+
+    def _on_stability(self, message: DiagnosticArray) -> None:
+        # The last but one of set point, in force, estimated: what is in force, once samples have come.
+        status = message.status[min(1, len(message.status) - 1)]
+        self.state.unstable = status.message == "unstable"
+        self.state.mu_set = status_number(status, "mu")
+        self.state.pad_stiffness = status_number(status, "k [N/m]")
+        self.state.critical_stiffness = status_number(status, "k_cr [N/m]")
+        self.state.margin = status_number(status, "margin")
+
+    def _on_squeal(self, message: DiagnosticArray) -> None:
+        status = message.status[0]
+        self.state.squealing = status_values(status)["detected"] == "true"
+        self.state.level = status_number(status, "level [dB re 1 um]")
+        self.state.frequency = status_number(status, "frequency [Hz]")
+
+    def _on_health(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            self.state.health[status.name] = (int.from_bytes(status.level, "little"), status.message)
+            if status.name.split("/")[-1] == "recorder":
+                self.state.recorded_bytes = int(status_values(status)["bytes"])

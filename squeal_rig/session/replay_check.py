@@ -1,0 +1,93 @@
+"""Replay of a bag through a fresh estimator, compared with what the live one published: number for number."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from squeal_rig.errors import ExperimentError
+from squeal_rig.recording import Bag, samples_from_cdr
+from squeal_rig.samples.blocks import rig_topic
+from squeal_rig.session.live import LiveGraph
+from squeal_rig.session.processes import NodeProcess, stop_all
+from squeal_rig.session.run import SignalWatch, wait_for_end
+
+WINDOWS = "friction/windows"
+_END_TIMEOUT = 30.0
+
+
+@dataclass(frozen=True)
+class ReplayComparison:
+    """Windows recorded live, windows of the replay, and how many of them are equal in every field, bit for bit."""
+
+    live: int
+    replayed: int
+    equal: int
+
+    @property
+    def same(self) -> bool:
+        """Whether the replay gave the same windows, number for number."""
+        return self.live == self.replayed == self.equal > 0
+
+
+def recorded_windows(bag: Path) -> np.ndarray:
+    """All of `friction/windows` in a bag as one structured array."""
+    opened = Bag(bag)
+    topic = rig_topic(opened, WINDOWS)
+    if topic is None:
+        raise ExperimentError(f"{bag} has no topic {WINDOWS}: nothing to compare a replay with")
+    pieces = [samples_from_cdr(message.data).samples for message in opened.messages([topic])]
+    if not pieces:
+        raise ExperimentError(f"{bag} holds no windows: nothing to compare a replay with")
+    return np.concatenate(pieces)
+
+
+def replay_and_compare(bag: Path, config: Path, rate: float, watch: SignalWatch) -> ReplayComparison:
+    """Play a bag through a fresh friction estimator and compare its windows with the recorded ones.
+
+    Raises:
+        ExperimentError: a node did not start, died or did not end.
+    """
+    live = recorded_windows(bag)
+    with tempfile.TemporaryDirectory(prefix="squeal_rig_") as logs:
+        graph = LiveGraph(watch.check)
+        files = ["--params-file", str(config)]
+        estimator = NodeProcess("friction_estimator", Path(logs), files)
+        nodes = [estimator]
+        try:
+            graph.wait_for(lambda: graph.listeners("daq/samples") >= 2, "the fresh estimator", _END_TIMEOUT)
+            play = ["-p", f"bag:={bag}", "-p", f"rate:={rate:.3f}", "-p", "wait_for_subscribers:=10.0"]
+            player = NodeProcess("player", Path(logs), [*files, *play])
+            nodes.append(player)
+
+            def check() -> None:
+                graph.spin()
+                estimator.check()
+
+            code = wait_for_end(player, check, _END_TIMEOUT + Bag(bag).duration / rate)
+            if code != 0:
+                raise ExperimentError(f"node player ended with exit code {code}: {player.last_words()}")
+            deadline = time.monotonic() + 5.0
+            while len(graph.windows) < len(live) and time.monotonic() < deadline:
+                graph.spin()
+        finally:
+            stop_all(nodes)
+            graph.close()
+    return compared(live, graph.windows)
+
+
+def compared(live: np.ndarray, replayed: list[np.ndarray]) -> ReplayComparison:
+    """Compare windows by their start; nan equals nan."""
+    by_start = {float(window["t_start"]): window for window in replayed}
+    equal = 0
+    for window in live:
+        other = by_start.get(float(window["t_start"]))
+        if other is not None and all(
+            np.array_equal(window[n], other[n], equal_nan=True) for n in live.dtype.fields or ()
+        ):
+            equal += 1
+    return ReplayComparison(len(live), len(replayed), equal)

@@ -1,0 +1,167 @@
+"""A session: the nodes as processes, the live console, and a plan run on the rig if there is one."""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+import signal
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from lifecycle_msgs.msg import Transition
+from rich.console import Console
+
+from squeal_rig.configuration.files import load_yaml
+from squeal_rig.errors import ExperimentError
+from squeal_rig.experiments.engine import StepRecord, run_plan
+from squeal_rig.experiments.plan import Plan, Step
+from squeal_rig.session.console import StateDisplay
+from squeal_rig.session.live import LiveGraph
+from squeal_rig.session.processes import NodeProcess, stop_all
+
+CONSUMERS = ("friction_estimator", "stability", "squeal_detector")
+# Compiling for the first time takes tens of seconds on a slow machine.
+_START_TIMEOUT = 120.0
+# A subscriber seen in the graph is matched this much later at the latest [s], as far as was seen.
+_MATCHING = 0.5
+_SAMPLE_TOPIC = "daq/samples"
+
+
+class InterruptedByOperator(Exception):  # noqa: N818
+    """The operator has asked to end."""
+
+
+@dataclass(frozen=True)
+class SessionOptions:
+    """What to run: parameter file, bag to write (None: no recording), plan or longest duration [s] (None: endless)."""
+
+    config: Path
+    bag: Path | None = None
+    plan: Plan | None = None
+    duration: float | None = None
+
+
+@dataclass
+class SessionResult:
+    """How a session ended: exit codes by node, the plan's steps, whether the operator ended it."""
+
+    exit_codes: dict[str, int] = field(default_factory=dict)
+    steps: list[StepRecord] = field(default_factory=list)
+    interrupted: bool = False
+
+
+class SignalWatch:
+    """Turns SIGINT and SIGTERM into `InterruptedByOperator` at the next moment somebody asks."""
+
+    def __init__(self) -> None:
+        self._asked = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._on_signal)
+
+    def _on_signal(self, *_details: object) -> None:
+        self._asked = True
+
+    def check(self) -> None:
+        """Raise `InterruptedByOperator` if a signal has come."""
+        if self._asked:
+            raise InterruptedByOperator
+
+
+def private_domain() -> None:
+    """Keep the ROS graph to this machine and to this run, before the first node starts."""
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    # Domains up to 101 use ports below Linux's ephemeral range.
+    os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
+
+
+def run_session(options: SessionOptions, console: Console, watch: SignalWatch) -> SessionResult:
+    """Start the nodes, follow them, run the plan, end them.
+
+    Raises:
+        ExperimentError: a node did not start or died, or the plan could not be run.
+    """
+    result = SessionResult()
+    log_directory = Path(tempfile.mkdtemp(prefix="squeal_rig_"))
+    nodes: list[NodeProcess] = []
+
+    def watched() -> None:
+        watch.check()
+        for node in nodes:
+            node.check()
+
+    graph = LiveGraph(watched)
+    try:
+        _start(options, nodes, log_directory, graph)
+        with StateDisplay(console, graph.state) as display:
+            _follow(options, graph, display, result)
+    except InterruptedByOperator:
+        result.interrupted = True
+    finally:
+        # The rig first, so that everybody else still takes its last block; the recorder last.
+        running, nodes = list(nodes), []
+        for name in ("simulator", None, "recorder"):
+            chosen = [n for n in running if n.name == name or (name is None and n.name in CONSUMERS)]
+            result.exit_codes |= stop_all(chosen)
+        graph.close()
+        if options.bag is not None and options.bag.is_dir():
+            shutil.copytree(log_directory, options.bag / "logs", dirs_exist_ok=True)
+        shutil.rmtree(log_directory, ignore_errors=True)
+    return result
+
+
+def _start(options: SessionOptions, nodes: list[NodeProcess], logs: Path, graph: LiveGraph) -> None:
+    """Start every node; the rig begins to sample once everybody listens, so that no first block is lost."""
+    files = ["--params-file", str(options.config)]
+    if _has_own_clock(options.config):
+        files = [*files, "-p", "use_sim_time:=true"]
+    for name in CONSUMERS:
+        nodes.append(NodeProcess(name, logs, files))
+    # The rig itself makes the clock, so it does not follow it.
+    nodes.append(NodeProcess("simulator", logs, [*files, "-p", "use_sim_time:=false", "-p", "autostart:=false"]))
+    graph.transition(Transition.TRANSITION_CONFIGURE, _START_TIMEOUT)
+    # The recorder comes last, so that its bag begins about when the run does, not while code is compiled.
+    if options.bag is not None:
+        nodes.append(NodeProcess("recorder", logs, [*files, "-p", f"directory:={options.bag}"]))
+    listeners = len(nodes)  # all but the simulator, and ourselves
+    graph.wait_for(lambda: graph.listeners(_SAMPLE_TOPIC) >= listeners, "all nodes listening", _START_TIMEOUT)
+    graph.spin(_MATCHING)
+    graph.transition(Transition.TRANSITION_ACTIVATE, _START_TIMEOUT)
+    graph.wait_for(lambda: graph.sampled_time() > 0.0, "the first block of samples", _START_TIMEOUT)
+
+
+def _has_own_clock(config: Path) -> bool:
+    """Whether the rig of a parameter file publishes `/clock`: where it does not run in real time."""
+    content = load_yaml(config)
+    rigs = [body for key, body in content.items() if str(key).split("/")[-1] == "rig"]
+    return any((body.get("ros__parameters") or {}).get("real_time_factor", 1.0) != 1.0 for body in rigs)
+
+
+def _follow(options: SessionOptions, graph: LiveGraph, display: StateDisplay, result: SessionResult) -> None:
+    graph.on_spin = display.refresh
+    if options.plan is not None:
+        plan = options.plan
+
+        def begun(number: int, step: Step) -> None:
+            display.note(f"step {number + 1} of {len(plan.steps)}: {step.title}")
+
+        result.steps = run_plan(plan, graph, begun)
+        return
+    end = math.inf if options.duration is None else graph.sampled_time() + options.duration
+    while graph.sampled_time() < end:
+        graph.spin()
+
+
+def wait_for_end(process: NodeProcess, check: Callable[[], None], timeout: float) -> int:
+    """Wait for a process to end by itself, calling `check` meanwhile; its exit code."""
+    deadline = time.monotonic() + timeout
+    while True:
+        check()
+        code = process.wait(0.05)
+        if code is not None:
+            return code
+        if time.monotonic() > deadline:
+            raise ExperimentError(f"node {process.name} did not end within {timeout:g} s")

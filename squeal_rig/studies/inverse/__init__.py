@@ -1,0 +1,1 @@
+"""The paper's inverse problem: readings of its geometry, disagreements, trade-off, evidence."""
