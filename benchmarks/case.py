@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from squeal_rig.model import RigParameters, displaced_state, simulate
-from squeal_rig.model.core.dynamics import Vector, pack
+from squeal_rig.model.core.layout import Vector, pack
 from tests.model.dop853 import reference
 
 RATE = 51200.0

@@ -10,7 +10,8 @@ from scipy.integrate import solve_ivp
 
 from benchmarks.case import CASE, DURATION, PACKED, RATE, START, TIMES, Point, best_time, error_of
 from squeal_rig.model import Motion
-from squeal_rig.model.core.dynamics import (
+from squeal_rig.model.core.forces import acceleration
+from squeal_rig.model.core.layout import (
     A1X,
     A1Y,
     A2X,
@@ -29,7 +30,6 @@ from squeal_rig.model.core.dynamics import (
     MASS,
     MU,
     Vector,
-    acceleration,
 )
 
 # Solvers with mixed tolerances see lengths of 1e-5 m and speeds of 0.1 m/s: state in these units.

@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.case import CASE, RATE, START, best_time
 from squeal_rig.model import Motion, RigParameters, simulate_many, stability_map
-from squeal_rig.model.core.dynamics import Vector, pack
+from squeal_rig.model.core.layout import Vector, pack
 from squeal_rig.model.motion.cubic import TERMS
 from squeal_rig.model.motion.exact import empty_flow
 from squeal_rig.model.motion.propagator import OFF_BELT, propagators

@@ -16,7 +16,7 @@ from squeal_rig.analysis.estimate_stability import OfflineStability
 from squeal_rig.configuration.declared import declarations
 from squeal_rig.errors import RecordingError, SquealRigError
 from squeal_rig.estimation.friction import FrictionEstimator, FrictionWindow
-from squeal_rig.estimation.regression import FrictionRegression
+from squeal_rig.estimation.regression import MODEL_COLUMNS, FrictionRegression
 from squeal_rig.estimation.settings import FrictionSettings
 from squeal_rig.estimation.stability_follower import Estimate, InForce
 from squeal_rig.instruments.channels import FRICTION_SAMPLE_RECORD
@@ -24,8 +24,6 @@ from squeal_rig.recording import Bag, BagWriter, cdr_from_samples, provenance
 from squeal_rig.recording.cdr import float64_message, multi_array_message
 from squeal_rig.recording.parameter_log import AT_START, parameters_of
 from squeal_rig.samples.blocks import DAQ, DESCRIPTION, BlockJoiner, RecordedBlock
-
-FRICTION_COLUMNS = "mu0, mu_speed, mu_preload, mu_speed_preload, rms_residual, operating_points"
 
 
 @dataclass(frozen=True)
@@ -148,8 +146,6 @@ class _Estimation:
     def _refit(self, now: int) -> None:
         model = self._regression.fit()
         if model is not None:
-            row = (model.mu0, model.mu_speed, model.mu_preload, model.mu_speed_preload)
-            numbers = (*row, model.rms_residual, float(model.operating_points))
             self._output.write(
-                "friction/model", multi_array_message([numbers], "friction model", FRICTION_COLUMNS), now
+                "friction/model", multi_array_message([model.row()], "friction model", ", ".join(MODEL_COLUMNS)), now
             )

@@ -16,8 +16,8 @@ from squeal_rig.estimation.friction import FrictionEstimator
 from squeal_rig.estimation.settings import FrictionSettings, SquealSettings
 from squeal_rig.estimation.spectra import amplitude_spectrum, peak_frequency
 from squeal_rig.estimation.squeal import SquealDetector
-from squeal_rig.model.core.friction import friction_coefficient
-from squeal_rig.model.linear.stability import StabilityReport, stability_report
+from squeal_rig.model.core.law import friction_coefficient
+from squeal_rig.model.linear.eigen import StabilityReport, stability_report
 from squeal_rig.model.parameters import RigParameters
 from squeal_rig.recording import Bag
 from squeal_rig.samples.blocks import RecordedBlock, recorded_blocks

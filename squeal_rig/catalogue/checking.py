@@ -14,7 +14,7 @@ from squeal_rig.estimation.calibration.targets import load_targets, looks_like_t
 from squeal_rig.estimation.settings import FrictionSettings, SquealSettings
 from squeal_rig.experiments.plan import load_plan
 from squeal_rig.instruments.settings import PresetChoice, RigSettings
-from squeal_rig.model.core.friction import friction_refusal
+from squeal_rig.model.core.law import friction_refusal
 from squeal_rig.model.parameters import RigParameters
 from squeal_rig.recording.settings import PlayerSettings, RecorderSettings
 

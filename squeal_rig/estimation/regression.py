@@ -1,4 +1,4 @@
-"""The friction law refitted from windows: mu(V, F) = mu0 + mu_V V + mu_F F + mu_VF V F (the paper's Fig. 4b)."""
+"""The friction law refitted from windows (the paper's Fig. 4b)."""
 
 from __future__ import annotations
 
@@ -8,20 +8,27 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from squeal_rig.model.core.law import COEFFICIENTS, friction_basis
+
 #: Two operating points are one when they agree to this share of the larger.
 _SAME_POINT = 1e-3
 
 
+#: Columns of `friction/model`.
+MODEL_COLUMNS = (*COEFFICIENTS, "rms_residual", "operating_points")
+
+
 @dataclass(frozen=True)
 class FrictionModel:
-    """A fitted law; coefficients in SI, the RMS of its residuals over operating points, and how many there were."""
+    """A fitted law: coefficients by name [SI], RMS of the residuals over operating points, and how many there were."""
 
-    mu0: float
-    mu_speed: float
-    mu_preload: float
-    mu_speed_preload: float
+    coefficients: Mapping[str, float]
     rms_residual: float
     operating_points: int
+
+    def row(self) -> tuple[float, ...]:
+        """The numbers in the order of `MODEL_COLUMNS`."""
+        return (*self.coefficients.values(), self.rms_residual, float(self.operating_points))
 
 
 class FrictionRegression:
@@ -55,25 +62,20 @@ class FrictionRegression:
         return True
 
     def fit(self) -> FrictionModel | None:
-        """Least squares over the operating points, or None while they do not determine all four coefficients."""
-        if len(self._points) < 4:
+        """Least squares over the operating points, or None while they do not determine every coefficient."""
+        wanted = len(COEFFICIENTS)
+        if len(self._points) < wanted:
             return None
         speed, preload, total, count = np.array(self._points).T
         mu = total / count
+        basis = friction_basis(speed, preload)
         # Scaled columns, so that the rank is judged on the points' layout and not on the units.
-        v, f = speed / np.max(np.abs(speed)), preload / max(float(np.max(np.abs(preload))), 1e-300)
-        matrix = np.column_stack([np.ones_like(v), v, f, v * f])
+        scale = np.max(np.abs(basis), axis=0)
+        scale[scale == 0.0] = 1.0
+        matrix = basis / scale
         coefficients, _, rank, _ = np.linalg.lstsq(matrix, mu, rcond=1e-6)
-        if rank < 4:
+        if rank < wanted:
             return None
         residual = mu - matrix @ coefficients
-        scale_v, scale_f = np.max(np.abs(speed)), np.max(np.abs(preload))
-        mu0, mu_v, mu_f, mu_vf = coefficients / [1.0, scale_v, scale_f, scale_v * scale_f]
-        return FrictionModel(
-            float(mu0),
-            float(mu_v),
-            float(mu_f),
-            float(mu_vf),
-            float(np.sqrt(np.mean(residual**2))),
-            len(self._points),
-        )
+        fitted = dict(zip(COEFFICIENTS, (coefficients / scale).tolist(), strict=True))
+        return FrictionModel(fitted, float(np.sqrt(np.mean(residual**2))), len(self._points))

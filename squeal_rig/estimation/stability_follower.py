@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from squeal_rig.configuration.declared import checked, declarations
 from squeal_rig.errors import ModelError
 from squeal_rig.instruments.description import RigDescription
-from squeal_rig.model.core.friction import friction_coefficient
-from squeal_rig.model.linear.stability import stability_report
+from squeal_rig.model.core.law import friction_coefficient, with_constant_friction
+from squeal_rig.model.linear.eigen import stability_report
 from squeal_rig.model.parameters import RigParameters
 from squeal_rig.recording.cdr import text_of
 
@@ -92,7 +92,7 @@ def summary_of(
         cause = {SAMPLE_KEY: str(in_force.sample)}
         statuses.append(_analysed("in force", point, "set", cause)[0])
         if estimate is not None and math.isfinite(estimate.mu):
-            fixed = point.replace(mu0=estimate.mu, mu_speed=0.0, mu_preload=0.0, mu_speed_preload=0.0)
+            fixed = with_constant_friction(point, estimate.mu)
             cause = {WINDOW_KEY: text_of(estimate.window_end)}
             statuses.append(_analysed("in force, estimated mu", fixed, "estimated", cause)[0])
     return StabilitySummary(tuple(statuses), eigenvalues)

@@ -8,9 +8,9 @@ from squeal_rig.errors import DriverError
 from squeal_rig.instruments.channels import DAQ_RECORD, TRUTH_RECORD
 from squeal_rig.instruments.driver import Reading, Samples
 from squeal_rig.instruments.settings import RigSettings
-from squeal_rig.model.core.dynamics import K1, K2, Vector, arm_extensions, friction_ratio, pack
+from squeal_rig.model.core.forces import arm_extensions, friction_ratio
 from squeal_rig.model.core.kernel import kernel
-from squeal_rig.model.motion import rk4
+from squeal_rig.model.core.layout import K1, K2, NORMAL, SAMPLE_SIZE, TANGENTIAL, VX, VY, Vector, X, Y, pack
 from squeal_rig.model.motion.trajectory import Motion, resting_state, validity_warnings
 from squeal_rig.model.parameters import RigParameters
 
@@ -27,7 +27,7 @@ class VirtualRig:
         """Put the pad at rest on the belt and load the compiled model."""
         self._settings = settings
         self._motion = Motion(parameters, settings.sample_rate)
-        self._states = np.empty((settings.block_size, rk4.COLUMNS))
+        self._states = np.empty((settings.block_size, SAMPLE_SIZE))
         self._take(parameters)
         # Loading or compiling takes seconds the first time: here, not in the first timed block.
         self.read(parameters)
@@ -80,15 +80,15 @@ def fill_channels(
     """
     k3, k4, radius, speed, preload = instruments
     for i in range(len(states)):
-        x, y, vx = states[i, rk4.X], states[i, rk4.Y], states[i, rk4.VX]
+        x, y, vx = states[i, X], states[i, Y], states[i, VX]
         e1, e2 = arm_extensions(x, y, q)
         seen, true = daq[i], truth[i]
         seen.x, seen.y = x, y
         seen.arm_left, seen.arm_right = -q[K1] * e1, -q[K2] * e2
         # Clips lie along the belt on either side: moving along it stretches the left one and presses the right one.
         seen.clip_left, seen.clip_right = -k3 * x, k4 * x
-        seen.motor_torque = states[i, rk4.TANGENTIAL] * radius
+        seen.motor_torque = states[i, TANGENTIAL] * radius
         seen.belt_speed, seen.preload = speed, preload
-        true.x, true.y, true.vx, true.vy = x, y, vx, states[i, rk4.VY]
-        true.normal_force, true.tangential_force = states[i, rk4.NORMAL], states[i, rk4.TANGENTIAL]
+        true.x, true.y, true.vx, true.vy = x, y, vx, states[i, VY]
+        true.normal_force, true.tangential_force = states[i, NORMAL], states[i, TANGENTIAL]
         true.mu = friction_ratio(vx, q)

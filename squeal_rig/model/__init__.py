@@ -7,17 +7,18 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from squeal_rig.model.core.dynamics import jacobian, state_derivative
-    from squeal_rig.model.core.friction import friction_coefficient
+    from squeal_rig.model.core.forces import jacobian, state_derivative
+    from squeal_rig.model.core.law import friction_coefficient
     from squeal_rig.model.core.statics import equilibrium
-    from squeal_rig.model.linear.eigen import eigenvalues, squeal_frequency
-    from squeal_rig.model.linear.maps import StabilityMap, stability_map
-    from squeal_rig.model.linear.stability import (
+    from squeal_rig.model.linear.eigen import (
         StabilityReport,
         critical_pad_stiffness,
+        eigenvalues,
+        squeal_frequency,
         stability_band,
         stability_report,
     )
+    from squeal_rig.model.linear.maps import StabilityMap, stability_map
     from squeal_rig.model.motion.contact import ContactEvents, contact_events
     from squeal_rig.model.motion.energy import EnergyBalance, energy_balance
     from squeal_rig.model.motion.ensemble import Ensemble, simulate_many
@@ -31,24 +32,24 @@ _HOMES = {
     "Motion": "motion.trajectory",
     "RigParameters": "parameters",
     "StabilityMap": "linear.maps",
-    "StabilityReport": "linear.stability",
+    "StabilityReport": "linear.eigen",
     "Trajectory": "motion.trajectory",
     "contact_events": "motion.contact",
-    "critical_pad_stiffness": "linear.stability",
+    "critical_pad_stiffness": "linear.eigen",
     "displaced_state": "motion.trajectory",
     "eigenvalues": "linear.eigen",
     "energy_balance": "motion.energy",
     "equilibrium": "core.statics",
-    "friction_coefficient": "core.friction",
-    "jacobian": "core.dynamics",
+    "friction_coefficient": "core.law",
+    "jacobian": "core.forces",
     "preset_names": "parameters",
     "simulate": "motion.trajectory",
     "simulate_many": "motion.ensemble",
     "squeal_frequency": "linear.eigen",
-    "stability_band": "linear.stability",
+    "stability_band": "linear.eigen",
     "stability_map": "linear.maps",
-    "stability_report": "linear.stability",
-    "state_derivative": "core.dynamics",
+    "stability_report": "linear.eigen",
+    "state_derivative": "core.forces",
 }
 
 __all__ = [

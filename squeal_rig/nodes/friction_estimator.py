@@ -13,7 +13,7 @@ from std_msgs.msg import Float64, Float64MultiArray
 
 from squeal_rig.errors import SquealRigError
 from squeal_rig.estimation.friction import FrictionEstimator, FrictionWindow
-from squeal_rig.estimation.regression import FrictionRegression
+from squeal_rig.estimation.regression import MODEL_COLUMNS, FrictionRegression
 from squeal_rig.estimation.settings import FrictionSettings
 from squeal_rig.graph import qos
 from squeal_rig.graph.conversions import cloud, labelled_array
@@ -23,8 +23,6 @@ from squeal_rig.graph.parameters import NODE_OPTIONS, DeclaredParameters
 from squeal_rig.graph.rig_follower import RigFollower
 from squeal_rig.instruments.channels import DAQ_CHANNELS, FRICTION_SAMPLE_RECORD, TRUTH_CHANNELS, block_from_cdr
 from squeal_rig.instruments.description import RigDescription
-
-_MODEL_COLUMNS = "mu0, mu_speed, mu_preload, mu_speed_preload, rms_residual, operating_points"
 
 
 class FrictionEstimatorNode(Node):
@@ -87,9 +85,7 @@ class FrictionEstimatorNode(Node):
     def _refit(self) -> None:
         model = self._regression.fit()
         if model is not None:
-            row = (model.mu0, model.mu_speed, model.mu_preload, model.mu_speed_preload)
-            numbers = (*row, model.rms_residual, float(model.operating_points))
-            self._model.publish(labelled_array([numbers], "friction model", _MODEL_COLUMNS))
+            self._model.publish(labelled_array([model.row()], "friction model", ", ".join(MODEL_COLUMNS)))
 
     def _reject(self, error: SquealRigError) -> None:
         self._rejected += 1

@@ -22,7 +22,7 @@ from squeal_rig.instruments.description import RigDescription
 from squeal_rig.instruments.driver import make_driver
 from squeal_rig.instruments.pacing import LATE, Pacer
 from squeal_rig.instruments.settings import PresetChoice, RigSettings
-from squeal_rig.model.core.friction import friction_refusal
+from squeal_rig.model.core.law import friction_refusal
 from squeal_rig.model.parameters import RigParameters
 
 

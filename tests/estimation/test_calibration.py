@@ -5,8 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from squeal_rig.catalogue.checking import check_file
 from squeal_rig.configuration.files import config_directory
@@ -23,10 +21,9 @@ from squeal_rig.estimation.calibration import (
     residuals,
     write_preset,
 )
-from squeal_rig.estimation.calibration.closed_form import as_columns, critical_stiffness, linear_frequency
 from squeal_rig.estimation.calibration.evaluation import Evaluator
-from squeal_rig.estimation.calibration.rest_thresholds import critical_stiffness_at_rest, is_threshold_at_rest
 from squeal_rig.model import RigParameters, critical_pad_stiffness, eigenvalues, squeal_frequency
+from tests.model.at_rest import critical_stiffness_at_rest, is_threshold_at_rest
 
 CONFIG = config_directory()
 PAPER = CONFIG / "paper" / "yavuz_sen_2023.yaml"
@@ -106,37 +103,6 @@ def test_fewer_missing_roots_rank_first_whatever_the_loss():
     assert np.isinf(judged.loss[judged.missing > 0]).all()
     whole = order[judged.missing[order] == 0]
     assert (np.diff(judged.loss[whole]) >= 0).all()
-
-
-@settings(max_examples=150, deadline=None)
-@given(
-    st.floats(0.0, math.pi),
-    st.floats(0.0, math.pi),
-    st.floats(0.2, 3.0),
-    st.floats(1e7, 2e9),
-    st.floats(1e7, 2e9),
-    st.floats(0.05, 1.0),
-)
-def test_closed_forms_on_arrays_agree_with_the_model(angle_1, angle_2, ratio, contact, clips, mu):
-    p = RigParameters().replace(
-        arm_angle_1=angle_1, arm_angle_2=angle_2, k1=ratio * 4e7, contact_stiffness=contact, k3=clips, mu0=mu
-    )
-    f, v = np.array([p.preload]), np.array([p.belt_speed])
-    ours, theirs = float(np.squeeze(critical_stiffness(as_columns(p), f, v))), critical_pad_stiffness(p)
-    if math.isnan(theirs):
-        # The model takes growth below 1e-6 of |lambda| for none, and ends at the parameters' bound of 1e10 N/m.
-        assert math.isnan(ours) or ours > 1e9 or abs(_coupling(p)) < 1e-4
-        return
-    assert ours == pytest.approx(theirs, rel=1e-6, abs=1e-3)
-    k = np.array([0.5 * (p.k1 + p.k2)])
-    expected = squeal_frequency(eigenvalues(p, linear=True))
-    computed = float(np.squeeze(linear_frequency(as_columns(p), k, f, v)))
-    if expected > 0.0:  # neither stable nor divergent
-        assert computed == pytest.approx(expected, rel=1e-6)
-
-
-def _coupling(p: RigParameters) -> float:
-    return math.sin(2.0 * p.arm_angle_1) * p.k1 / p.k2 + math.sin(2.0 * p.arm_angle_2)
 
 
 def test_the_threshold_at_the_true_equilibrium_is_one_of_the_exact_eigenvalues():

@@ -21,12 +21,12 @@ from squeal_rig.estimation.calibration import (
 )
 from squeal_rig.estimation.calibration.evaluation import Evaluator
 from squeal_rig.estimation.calibration.residuals import rounded, shown_kinds
-from squeal_rig.estimation.calibration.rest_thresholds import critical_stiffness_at_rest, is_threshold_at_rest
 from squeal_rig.model import RigParameters, critical_pad_stiffness, eigenvalues, friction_coefficient, simulate
 from squeal_rig.model.linear.eigen import is_unstable
 from squeal_rig.studies.inverse.disagreements import judge, regions, stiffened
 from squeal_rig.studies.inverse.readings import READINGS, fit_readings
 from squeal_rig.studies.inverse.tradeoff import trade_off
+from tests.model.at_rest import critical_stiffness_at_rest, is_threshold_at_rest
 
 CONFIG = config_directory()
 PRESET = CONFIG / "presets" / "yavuz_sen_2023_calibrated.yaml"

@@ -19,11 +19,18 @@ from squeal_rig.model import (
     stability_band,
     state_derivative,
 )
-from squeal_rig.model.core.statics import normal_force, stiffness_matrix
-from squeal_rig.model.linear.eigen import is_unstable
+from squeal_rig.model.linear.eigen import is_unstable, state_matrix
 
 PRESET = RigParameters.preset("yavuz_sen_2023")
 POINTS = [(50.0, 1.0), (50.0, 4.0), (200.0, 1.0), (300.0, 1.0)]
+
+
+def normal_force(p, y):
+    return p.contact_stiffness * (p.pretension_length - y)
+
+
+def stiffness_matrix(p):
+    return -p.mass * state_matrix(p, linear=True)[2:, :2]
 
 
 def loads(p: RigParameters) -> tuple[float, float]:

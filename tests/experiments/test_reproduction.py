@@ -45,7 +45,7 @@ def test_the_law_is_recovered_through_instruments_and_estimator():
     model = measure_friction(DAMPED).model
     # Eq. (2.1) holds to first order in r/L, 1e-4 here.
     assert model.mu0 == pytest.approx(PRESET.mu0, rel=1e-3)
-    assert model.mu_speed_preload == pytest.approx(PRESET.mu_speed_preload, rel=1e-3)
+    assert model.coefficients["mu_speed_preload"] == pytest.approx(PRESET.mu_speed_preload, rel=1e-3)
     assert model.rms_residual < 1e-6
 
 
@@ -83,13 +83,13 @@ def test_statement_7_deviation_grows_with_separation(table):
 
 
 @pytest.mark.parametrize("start", [nonlinear.SMALL_START, nonlinear.IMPACT_START])
-@pytest.mark.parametrize("jump", PAPER.jumps, ids=lambda jump: f"{jump.k:.0e}-{jump.belt_speed:g}")
+@pytest.mark.parametrize("jump", PAPER.jumps, ids=lambda jump: f"{jump.pad_stiffness:.0e}-{jump.belt_speed:g}")
 def test_statement_8_peaks_jump_at_the_threshold_and_below_it_after_an_impact(jump, start):
-    p = DAMPED.replace(pad_stiffness=jump.k, belt_speed=jump.belt_speed)
+    p = DAMPED.replace(pad_stiffness=jump.pad_stiffness, belt_speed=jump.belt_speed)
     threshold = linear.threshold_preload(p, 2000.0)
     assert threshold is not None
     around = np.array([0.5, 1.05]) * threshold
-    curve = nonlinear.peak_curve(p, around, start, jump.jump_preload, 2000.0)
+    curve = nonlinear.peak_curve(p, around, start, jump.value, 2000.0)
     assert curve.jump is not None
     if start == nonlinear.SMALL_START:
         assert curve.jump == pytest.approx(threshold, rel=0.05)

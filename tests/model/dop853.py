@@ -7,18 +7,8 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from squeal_rig.model import RigParameters
-from squeal_rig.model.core.dynamics import (
-    C_X,
-    C_Y,
-    K_C,
-    L_PRE,
-    LOAD_X,
-    LOAD_Y,
-    MASS,
-    friction_ratio,
-    pack,
-    spring_force,
-)
+from squeal_rig.model.core.forces import friction_ratio, spring_force
+from squeal_rig.model.core.layout import C_X, C_Y, K_C, L_PRE, LOAD_X, LOAD_Y, MASS, pack
 
 RTOL, ATOL = 1e-12, 1e-18
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from squeal_rig.model import RigParameters, equilibrium, friction_coefficient, jacobian, state_derivative
-from squeal_rig.model.core.friction import friction_refusal
+from squeal_rig.model.core.law import friction_refusal
 
 from . import reference
 from .random_rigs import SWITCHES, random_rig, random_state

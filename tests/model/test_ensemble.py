@@ -13,8 +13,6 @@ from squeal_rig.model import (
     simulate,
     simulate_many,
 )
-from squeal_rig.model.core.dynamics import pack
-from squeal_rig.model.core.rest import rest_position
 from squeal_rig.model.motion.ensemble import STATUS
 
 RATE = 51200.0
@@ -81,13 +79,6 @@ def test_growth_and_frequency_of_a_small_motion_are_those_of_the_eigenvalue():
     # Blocks of 10 ms hold no whole number of periods.
     assert row["growth_rate"] == pytest.approx(value.real, rel=5e-3)
     assert row["squeal_frequency"] == pytest.approx(abs(value.imag) / (2.0 * np.pi), rel=1e-4)
-
-
-def test_the_compiled_equilibrium_is_the_exact_one():
-    for p in [*grid(), SQUEALING.replace(arm_length_1=0.01, preload_direction="arms", friction_direction="slip")]:
-        x, y, found = rest_position(pack(p))
-        assert found
-        np.testing.assert_allclose((x, y), equilibrium(p), rtol=1e-12)
 
 
 def test_a_run_without_equilibrium_says_so_and_leaves_the_others_alone():

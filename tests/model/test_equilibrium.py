@@ -7,7 +7,6 @@ import pytest
 
 from squeal_rig.errors import ModelError
 from squeal_rig.model import RigParameters, displaced_state, equilibrium, stability_report, state_derivative
-from squeal_rig.model.core.statics import normal_force
 
 from . import reference
 from .random_rigs import SWITCHES, random_rig
@@ -47,6 +46,10 @@ def test_the_linear_equilibrium_solves_eq_3_1_without_its_stray_friction_coeffic
     loads = [mu * pretension + along, pretension - p.preload * sines]
     matrix = reference.stiffness(p, 0.5 * (p.k1 + p.k2))[0]
     np.testing.assert_allclose(equilibrium(p, linear=True), np.linalg.solve(matrix, loads), rtol=1e-12)
+
+
+def normal_force(p, y):
+    return p.contact_stiffness * (p.pretension_length - y)
 
 
 def test_the_linear_equilibrium_smooths_the_contact_as_eq_3_1_does():
@@ -94,6 +97,8 @@ def test_without_pretension_and_preload_nothing_presses_the_pad_on_the_belt():
 def test_a_pad_that_nothing_holds_along_the_belt_has_no_equilibrium():
     p = RigParameters(k1=0.0, k2=0.0, k3=0.0, k4=0.0)
     with pytest.raises(ModelError, match=r"^no equilibrium: the stiffness matrix of Eq\. \(3\.1\) is singular$"):
+        equilibrium(p, linear=True)
+    with pytest.raises(ModelError, match=r"^no equilibrium found: Newton's method on Eq\. \(2\.3\) did not converge"):
         equilibrium(p)
 
 

@@ -8,7 +8,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from squeal_rig.model import RigParameters
-from squeal_rig.model.core.dynamics import L_PRE, pack
+from squeal_rig.model.core.layout import L_PRE, pack
 from squeal_rig.model.motion.cubic import TERMS, compose, evaluate_all, multiply
 from squeal_rig.model.motion.exact import empty_flow, workspace
 from squeal_rig.model.motion.propagator import (

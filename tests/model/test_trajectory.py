@@ -17,7 +17,7 @@ from squeal_rig.model import (
     simulate,
     squeal_frequency,
 )
-from squeal_rig.model.motion.rk4 import COLUMNS
+from squeal_rig.model.core.layout import SAMPLE_SIZE
 from squeal_rig.model.motion.trajectory import validity_warnings
 
 SQUEALING = RigParameters(preload=300.0, damping_x=20.0, damping_y=20.0)
@@ -35,7 +35,7 @@ def test_a_motion_advanced_in_blocks_is_bit_for_bit_one_call_of_simulate(blocks,
     motion = Motion(SQUEALING, rate, start, step=step)
     parts = []
     for size in blocks:
-        block = np.empty((size, COLUMNS))
+        block = np.empty((size, SAMPLE_SIZE))
         motion.advance(block)
         parts.append(block)
     assert len(run.t) == sum(blocks) == 2048
@@ -43,7 +43,7 @@ def test_a_motion_advanced_in_blocks_is_bit_for_bit_one_call_of_simulate(blocks,
 
 
 def test_a_motion_resumed_from_its_state_goes_on_bit_for_bit():
-    whole, block = np.empty((600, COLUMNS)), np.empty((300, COLUMNS))
+    whole, block = np.empty((600, SAMPLE_SIZE)), np.empty((300, SAMPLE_SIZE))
     start = displaced_state(SQUEALING, 0.4)
     Motion(SQUEALING, 51200.0, start).advance(whole)
     first = Motion(SQUEALING, 51200.0, start)
@@ -54,7 +54,7 @@ def test_a_motion_resumed_from_its_state_goes_on_bit_for_bit():
 
 def test_a_motion_takes_new_parameters_from_the_next_block_on_and_not_before():
     stiffer = SQUEALING.replace(pad_stiffness=8e7)
-    start, block = displaced_state(SQUEALING, 0.4), np.empty((100, COLUMNS))
+    start, block = displaced_state(SQUEALING, 0.4), np.empty((100, SAMPLE_SIZE))
     motion = Motion(SQUEALING, 51200.0, start)
     motion.advance(block)
     np.testing.assert_array_equal(block, columns(simulate(SQUEALING, 99 / 51200.0, 51200.0, start)))
@@ -76,7 +76,7 @@ def test_the_state_handed_out_and_taken_in_is_a_copy():
     motion = Motion(SQUEALING, 51200.0, start)
     kept = start.copy()
     motion.state[:] = 1.0
-    motion.advance(np.empty((10, COLUMNS)))
+    motion.advance(np.empty((10, SAMPLE_SIZE)))
     np.testing.assert_array_equal(start, kept)
     motion.set_state(start)
     motion.kick(1.0, 1.0)
@@ -85,7 +85,7 @@ def test_the_state_handed_out_and_taken_in_is_a_copy():
 
 def test_a_pad_at_its_equilibrium_stays_there():
     p = RigParameters(damping_x=20.0, damping_y=20.0)
-    block = np.empty((5120, COLUMNS))
+    block = np.empty((5120, SAMPLE_SIZE))
     Motion(p, 51200.0).advance(block)
     compression = p.pretension_length - equilibrium(p)[1]
     # Newton leaves the equilibrium at rounding; a stable rig does not magnify it.
@@ -254,4 +254,4 @@ def test_a_hard_hit_that_leaves_the_range_of_small_displacements_is_reported():
 def test_a_quiet_run_has_no_warnings():
     run = simulate(RigParameters(), 0.1)
     assert run.warnings == ()
-    assert validity_warnings(RigParameters(), np.empty((0, COLUMNS))) == []
+    assert validity_warnings(RigParameters(), np.empty((0, SAMPLE_SIZE))) == []

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from squeal_rig.model import stability_band
-from squeal_rig.model.core.friction import friction_coefficient
+from squeal_rig.model.core.law import friction_coefficient
 
 from .processes import parameters
 

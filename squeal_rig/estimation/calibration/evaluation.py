@@ -7,23 +7,23 @@ demands and limits less, and only then the loss counts.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from squeal_rig.errors import ModelError
-from squeal_rig.estimation.calibration import closed_form
-from squeal_rig.estimation.calibration.closed_form import Columns
-from squeal_rig.estimation.calibration.problem import FRICTION_TERMS, Calibration
-from squeal_rig.estimation.calibration.rest_thresholds import critical_stiffness_at_rest
+from squeal_rig.estimation.calibration.problem import Calibration
 from squeal_rig.estimation.calibration.targets import JUMP_RANGE, KINDS, Target
-from squeal_rig.model.linear.eigen import eigenvalues, squeal_frequency
-from squeal_rig.model.linear.stability import critical_pad_stiffness
+from squeal_rig.model.core.law import COEFFICIENTS, friction_basis, friction_law
+from squeal_rig.model.linear.maps import map_points
 from squeal_rig.model.motion.ensemble import simulate_many
 from squeal_rig.model.parameters import RigParameters
 
 Values = NDArray[np.float64]
+#: Parameter name -> a number, a word, or a column (S, 1) of one number a candidate.
+Columns = Mapping[str, Any]
 #: Kinds that take a simulation of the motion.
 SIMULATED = ("nonlinear_frequency", "contact_loss")
 _PRELOAD_GRID = np.geomspace(1.0, 2000.0, 40)
@@ -65,14 +65,13 @@ class Coordinates:
 
     def __init__(self, problem: Calibration) -> None:
         self._problem = problem
-        corners = problem.has_free_friction
-        self._own = [item for item in problem.free if not (corners and item.name in FRICTION_TERMS)]
-        self._corners = corners
+        # A law of as many coefficients as the box has corners is searched by its values there.
+        corners = problem.has_free_friction and len(COEFFICIENTS) == 4
+        self._own = [item for item in problem.free if not (corners and item.name in COEFFICIENTS)]
         demand = problem.friction
         self.corner_preload = np.array([f for f in demand.preload for _ in range(2)])
         self.corner_speed = np.array([v for _ in range(2) for v in demand.belt_speed])
-        basis = [np.ones(4), self.corner_speed, self.corner_preload, self.corner_speed * self.corner_preload]
-        self._terms = np.linalg.inv(np.column_stack(basis))
+        self._terms = np.linalg.inv(friction_basis(self.corner_speed, self.corner_preload)) if corners else None
         self.size = len(self._own) + 4 * corners
 
     def columns(self, z: Values) -> dict[str, object]:
@@ -84,11 +83,11 @@ class Coordinates:
                 values[item.name] = item.lower * (item.upper / item.lower) ** share
             else:
                 values[item.name] = item.lower + (item.upper - item.lower) * share
-        if self._corners:
+        if self._terms is not None:
             demand = self._problem.friction
             mu = demand.lower + (demand.upper - demand.lower) * z[:, len(self._own) :]
             terms = mu @ self._terms.T
-            values.update({name: terms[:, i : i + 1] for i, name in enumerate(FRICTION_TERMS)})
+            values.update({name: terms[:, i : i + 1] for i, name in enumerate(COEFFICIENTS)})
         values.update({name: values[other] for name, other in self._problem.tied.items()})
         return values
 
@@ -105,12 +104,11 @@ def _rig(base: RigParameters, columns: Columns, i: int) -> RigParameters:
 
 
 class Evaluator:
-    """Computes `Evaluation`s of one problem: closed forms where they hold, the model's own functions elsewhere."""
+    """Computes `Evaluation`s of one problem, all candidates at once."""
 
     def __init__(self, problem: Calibration) -> None:
         self.problem = problem
         self.coordinates = Coordinates(problem)
-        self._slowest = min((item.belt_speed for item in problem.targets.items), default=0.0)
 
     @property
     def size(self) -> int:
@@ -173,7 +171,7 @@ class Evaluator:
 
     def _friction_outside(self, columns: Columns, count: int) -> Values:
         c, demand = self.coordinates, self.problem.friction
-        mu = np.broadcast_to(closed_form.friction(columns, c.corner_preload, c.corner_speed), (count, 4))
+        mu = np.broadcast_to(friction_law(columns, c.corner_speed, c.corner_preload), (count, 4))
         over = np.maximum(mu - demand.upper, 0.0) + np.maximum(demand.lower - mu, 0.0)
         return np.asarray(np.where(over > _FRICTION_ROUNDING, over, 0.0).sum(axis=1))
 
@@ -185,28 +183,18 @@ class Evaluator:
             return self._thresholds(columns, count, preload, speed)
         if kind == "peak_displacement_jump":
             return self._jumps(columns, count, k, speed)
-        exact = self.problem.equilibrium == "exact"
-        if closed_form.is_closed_form(columns, self._slowest) and not exact:
-            found = closed_form.linear_frequency(columns, k, preload, speed)
-            return np.broadcast_to(found, (count, len(targets)))
-        rigs = [_rig(self.problem.base, columns, i) for i in range(count)]
-        return np.array([[_frequency(p, item, exact) for item in targets] for p in rigs])
+        at = {**columns, "preload": preload, "belt_speed": speed, "k1": k, "k2": k}
+        found = map_points(at, bands=False, at_rest=self._at_rest).squeal_frequency
+        return np.broadcast_to(found, (count, len(targets)))
+
+    @property
+    def _at_rest(self) -> bool:
+        return self.problem.equilibrium == "exact"
 
     def _thresholds(self, columns: Columns, count: int, preload: Values, speed: Values) -> Values:
-        simple = closed_form.is_closed_form(columns, self._slowest)
-        threshold = critical_pad_stiffness
-        if self.problem.equilibrium == "exact":
-            if not simple:
-                raise ModelError("equilibrium: exact takes no damping and no friction that sees the pad's speed")
-            threshold = critical_stiffness_at_rest
-        elif simple:
-            found = closed_form.critical_stiffness(columns, preload, speed)
-            return np.broadcast_to(found, (count, len(preload)))
-        rigs = [_rig(self.problem.base, columns, i) for i in range(count)]
-        points = list(zip(preload, speed, strict=True))
-        return np.array(
-            [[threshold(p.replace(preload=float(f), belt_speed=float(v))) for f, v in points] for p in rigs]
-        )
+        at = {**columns, "preload": preload, "belt_speed": speed}
+        found = map_points(at, at_rest=self._at_rest).critical_pad_stiffness
+        return np.broadcast_to(found, (count, len(preload)))
 
     def _jumps(self, columns: Columns, count: int, k: Values, speed: Values) -> Values:
         """Smallest preload [N] at which the threshold falls to k, by a grid and bisection; nan where it never does."""
@@ -259,14 +247,6 @@ class Evaluator:
 
 def _point(item: Target) -> tuple[float, float, float]:
     return item.preload, item.belt_speed, item.pad_stiffness
-
-
-def _frequency(p: RigParameters, item: Target, exact: bool) -> float:
-    at = p.replace(preload=item.preload, belt_speed=item.belt_speed, pad_stiffness=item.pad_stiffness)
-    try:
-        return squeal_frequency(eigenvalues(at, linear=not exact))
-    except ModelError:  # no equilibrium in contact: nothing squeals there
-        return math.nan
 
 
 def _measured(errors: Values, measure: str) -> Values:

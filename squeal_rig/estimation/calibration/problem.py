@@ -20,11 +20,11 @@ from squeal_rig.estimation.calibration.targets import (
     number,
     read_targets,
 )
+from squeal_rig.model.core.law import COEFFICIENTS
 from squeal_rig.model.parameters import RigParameters
 
 EQUILIBRIA = ("linear", "exact")
 MEASURES = ("rms", "mean", "largest")
-FRICTION_TERMS = ("mu0", "mu_speed", "mu_preload", "mu_speed_preload")
 _KEYS = (
     "title",
     "targets",
@@ -44,7 +44,7 @@ _DEFAULT_FREE: dict[str, tuple[float, float]] = {
     "mass": (1.0, 15.0),
     "contact_stiffness": (1e8, 1e10),
     "k3": (1e7, 5e9),
-    **dict.fromkeys(FRICTION_TERMS, (math.nan, math.nan)),
+    **dict.fromkeys(COEFFICIENTS, (math.nan, math.nan)),
 }
 _DEFAULT_WEIGHTS = {"critical_pad_stiffness": 1.0, "squeal_frequency": 0.1}
 
@@ -110,7 +110,7 @@ class Calibration:
     @property
     def has_free_friction(self) -> bool:
         """Whether the whole friction law is free: it is then searched by its values at the corners of the demand."""
-        return {item.name for item in self.free} >= set(FRICTION_TERMS)
+        return {item.name for item in self.free} >= set(COEFFICIENTS)
 
     def with_free(self, names: Sequence[str]) -> Calibration:
         """A copy with these parameters free; each `name` or `name=lower:upper`.

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ KINDS = (
     "contact_loss",
     "peak_displacement_jump",
 )
-#: Sections a file of targets may have; those that are no target are kept for other readers.
+#: Sections a file of targets may have.
 SECTIONS = ("arm_angle_rad", "critical_pad_stiffness", "squeal_frequency", "superharmonics", "peak_displacement_jump")
 #: Preloads [N] of Fig. 12: "no jump" says that none lies in here.
 JUMP_RANGE = (50.0, 300.0)
@@ -46,10 +46,14 @@ class Target:
 
 @dataclass(frozen=True)
 class Targets:
-    """Every target of a file, grouped by kind; `title` is the file's name."""
+    """Every target of a file, grouped by kind; `title` is the file's name.
+
+    `superharmonics`, which are no target: whether there are any, by preload [N] and pad stiffness [N/m].
+    """
 
     title: str
     items: tuple[Target, ...]
+    superharmonics: Mapping[tuple[float, float], bool] = field(default_factory=dict)
 
     def kinds(self) -> tuple[str, ...]:
         """The kinds of target there are, in the order of `KINDS`."""
@@ -92,7 +96,7 @@ def read_targets(content: object, where: str, title: str) -> Targets:
     ]
     if not items:
         raise ConfigurationError(f"{where}: there is no target in it")
-    return Targets(title, tuple(items))
+    return Targets(title, tuple(items), _superharmonics(content.get("superharmonics", []), f"{where}, superharmonics"))
 
 
 def number(where: str, key: str, value: object, lower: float = 0.0, upper: float = math.inf, unit: str = "") -> float:
@@ -177,3 +181,18 @@ def _jumps(content: object, where: str) -> list[Target]:
         value = math.nan if jump is None else number(place, "jump_preload", jump, 0.0, 2000.0, "N")
         items.append(Target("peak_displacement_jump", value, speed, k, value, "Fig. 12"))
     return items
+
+
+def _superharmonics(content: object, where: str) -> dict[tuple[float, float], bool]:
+    """Fig. 10: whether multiples of the squeal frequency are present, by preload and pad stiffness."""
+    found = {}
+    for place, raw in _rows(where, content):
+        row = mapping(place, raw, ("preload", "present"), ("preload", "present"))
+        preload = number(place, "preload", row["preload"], 0.0, 2000.0, "N")
+        if not isinstance(row["present"], Mapping):
+            raise ConfigurationError(f"{place}: present = {row['present']!r} must map stiffness to true or false")
+        for k, there in row["present"].items():
+            if not isinstance(there, bool):
+                raise ConfigurationError(f"{place}: present, {k}: {there!r} must be true or false")
+            found[preload, number(place, "present", k, 1.0, 1e10, "N/m")] = there
+    return found

@@ -1,22 +1,21 @@
-"""Complex eigenvalue analysis of one set of parameters."""
+"""Complex eigenvalue analysis of one rig: eigenvalues, the bounds of its unstable range, and the report of both."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from squeal_rig.model.core.dynamics import Vector, jacobian
-from squeal_rig.model.core.friction import force_ratio_slope
-from squeal_rig.model.core.statics import equilibrium, linear_equilibrium, normal_force, stiffness_matrix
+from squeal_rig.model.core.forces import jacobian
+from squeal_rig.model.core.layout import C_Y, MASS, Vector, pack
+from squeal_rig.model.core.statics import equilibrium, linear_stiffness
+from squeal_rig.model.linear.bounds import linear_damping_x, stability_bounds
+from squeal_rig.model.linear.roots import GROWTH_TOLERANCE
 from squeal_rig.model.parameters import RigParameters
 
 Eigenvalues = NDArray[np.complex128]
-
-#: Re(lambda) counts as growth above this share of |lambda|: rounding alone gives an undamped stable rig positive
-#: real parts.
-GROWTH_TOLERANCE = 1e-6
 
 
 def state_matrix(p: RigParameters, linear: bool = False) -> Vector:
@@ -28,14 +27,11 @@ def state_matrix(p: RigParameters, linear: bool = False) -> Vector:
     if not linear:
         x, y = equilibrium(p)
         return jacobian(p, np.array([x, y, 0.0, 0.0]))
-    damping_x = p.damping_x
-    slope = force_ratio_slope(p)
-    if slope != 0.0:
-        damping_x -= slope * normal_force(p, linear_equilibrium(p)[1])
+    q = pack(p)
     matrix = np.zeros((4, 4))
     matrix[:2, 2:] = np.eye(2)
-    matrix[2:, :2] = -stiffness_matrix(p) / p.mass
-    matrix[2:, 2:] = -np.diag([damping_x, p.damping_y]) / p.mass
+    matrix[2:, :2] = -np.reshape(linear_stiffness(q), (2, 2)) / q[MASS]
+    matrix[2:, 2:] = -np.diag([linear_damping_x(q), q[C_Y]]) / q[MASS]
     return matrix
 
 
@@ -72,3 +68,57 @@ def squeal_frequency(values: Eigenvalues) -> float:
 def damping_ratio(value: complex) -> float:
     """Damping ratio zeta = -Re(lambda)/|lambda| of one mode; negative where it grows, nan at lambda = 0."""
     return -value.real / abs(value) if value else math.nan
+
+
+def stability_band(p: RigParameters) -> tuple[float, float]:
+    """Bounds [N/m] of the lowest unstable range of (k1 + k2)/2, at the ratio k1/k2 of `p`; from the linear model.
+
+    Returns (nan, nan) where there is none, and an upper bound of inf where stability never returns.
+    """
+    return stability_bounds(pack(p), np.empty(4, dtype=np.complex128))
+
+
+def critical_pad_stiffness(p: RigParameters) -> float:
+    """Critical pad stiffness k_cr [N/m], the lower bound of `stability_band`; nan where no stiffness is unstable."""
+    return stability_band(p)[0]
+
+
+@dataclass(frozen=True)
+class StabilityReport:
+    """Complex eigenvalue analysis of one set of parameters. Stiffness in N/m, rates in 1/s, frequency in Hz."""
+
+    eigenvalues: Eigenvalues
+    unstable: bool
+    growth_rate: float
+    damping_ratio: float
+    squeal_frequency: float
+    pad_stiffness: float
+    critical_pad_stiffness: float
+    upper_pad_stiffness: float
+    margin: float
+
+
+def stability_report(p: RigParameters) -> StabilityReport:
+    """Eigenvalues at the exact equilibrium, beside the stability band of the linear model.
+
+    The margin is (k_cr - k)/k_cr with k = (k1 + k2)/2, nan where there is no k_cr; the growth rate is the largest
+    Re lambda.
+
+    Raises:
+        ModelError: the exact equilibrium does not exist.
+    """
+    values = eigenvalues(p)
+    lower, upper = stability_band(p)
+    value = leading(values)
+    k = 0.5 * (p.k1 + p.k2)
+    return StabilityReport(
+        eigenvalues=values,
+        unstable=is_unstable(values),
+        growth_rate=value.real,
+        damping_ratio=damping_ratio(value),
+        squeal_frequency=squeal_frequency(values),
+        pad_stiffness=k,
+        critical_pad_stiffness=lower,
+        upper_pad_stiffness=upper,
+        margin=(lower - k) / lower if lower > 0.0 else math.nan,
+    )

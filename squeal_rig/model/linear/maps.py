@@ -13,18 +13,25 @@ import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from squeal_rig.configuration.declared import checked, declarations
 from squeal_rig.errors import ParameterError
-from squeal_rig.model.core.dynamics import Vector
-from squeal_rig.model.linear.point import FIELDS, fill_points
-from squeal_rig.model.linear.roots import Roots
-from squeal_rig.model.linear.stability import stability_band
+from squeal_rig.model.core.kernel import kernel
+from squeal_rig.model.core.layout import K1, K2, Vector, pack
+from squeal_rig.model.linear.bounds import bound_at_rest, fill_linear_roots, fill_rest_roots, stability_bounds
+from squeal_rig.model.linear.roots import Roots, leading_root
 from squeal_rig.model.parameters import RigParameters
 
+#: Parameters of a map: the numeric ones that have a part in the linear model.
+FIELDS = tuple(
+    name
+    for name, declaration in declarations(RigParameters).items()
+    if declaration.kind is float and not name.startswith("arm_length")
+)
 _CHUNK = 8192
 
 
@@ -59,7 +66,7 @@ def stability_map(
     Args:
         p: what the grids leave as it is, switches included.
         bands: fill k_cr, its upper bound and the margin. They are roots of quadratics except where friction sees
-            the slip or only one direction is damped: there `stability_band` searches point by point, some ms each.
+            the slip or only one direction is damped: there each point is a search of its own.
         eigenvalues: keep all four eigenvalues of each point.
         threads: how many work at once; one a core when None. The result does not depend on it.
         grids: numeric fields of `RigParameters`, and `pad_stiffness` for k1 and k2 at once, that broadcast to one
@@ -71,32 +78,74 @@ def stability_map(
     """
     arrays = _checked_grids(grids)
     try:
-        shape = np.broadcast_shapes(*(values.shape for values in arrays.values()))
+        np.broadcast_shapes(*(values.shape for values in arrays.values()))
     except ValueError:
         shapes = ", ".join(f"{name} {values.shape}" for name, values in arrays.items())
         raise ParameterError(f"these shapes do not broadcast to one grid: {shapes}") from None
+    return map_points({**p.as_mapping(), **arrays}, bands, eigenvalues, threads)
+
+
+def map_points(
+    values: Mapping[str, Any],
+    bands: bool = True,
+    eigenvalues: bool = False,
+    threads: int | None = None,
+    at_rest: bool = False,
+) -> StabilityMap:
+    """`stability_map` of the values of all fields by name, numbers and arrays that broadcast; nothing is checked.
+
+    With `at_rest` the model is linearised about the exact equilibrium of each point; nan where there is none, and no
+    upper bound of the unstable range is known.
+    """
+    varied = {name: value for name, value in values.items() if np.ndim(value)}
+    shape = np.broadcast_shapes(*(np.shape(value) for value in varied.values()))
     points = math.prod(shape)
     out = np.full((5, points), np.nan)
-    values = np.empty((points if eigenvalues else 0, 4), dtype=np.complex128)
-    base = np.array([getattr(p, name) for name in FIELDS])
-    varied = np.array([FIELDS.index(name) for name in arrays], dtype=np.int64)
-    switches = (p.friction_direction == "slip", p.friction_speed == "slip", p.preload_direction == "arms")
-    spread = [np.broadcast_to(array, shape) for array in arrays.values()]
+    kept = np.full((points if eigenvalues else 0, 4), np.nan, dtype=np.complex128)
+    spread = {name: np.broadcast_to(value, shape) for name, value in varied.items()}
 
     def work(first: int) -> None:
         part = slice(first, min(first + _CHUNK, points))
-        columns = np.empty((len(spread), part.stop - part.start))
-        for row, array in zip(columns, spread, strict=True):
-            row[:] = array.flat[part]
-        fill_points(base, varied, columns, switches, bands, out[:, part], values[part])
+        packed = pack({**values, **{name: array.flat[part] for name, array in spread.items()}})
+        _fill_points(packed.reshape(-1, packed.shape[-1]), at_rest, bands, out[:, part], kept[part])
 
-    with ThreadPoolExecutor(os.cpu_count() or 1 if threads is None else threads) as pool:
-        list(pool.map(work, range(0, points, _CHUNK)))
-    if bands:
-        _search_bands(p, arrays, shape, out)
+    workers = min(os.cpu_count() or 1 if threads is None else threads, -(-points // _CHUNK))
+    if workers <= 1:
+        for first in range(0, points, _CHUNK):
+            work(first)
+    else:
+        with ThreadPoolExecutor(workers) as pool:
+            list(pool.map(work, range(0, points, _CHUNK)))
     growth, frequency, lower, upper, margin = (row.reshape(shape) for row in out)
-    kept = values.reshape((*shape, 4)) if eigenvalues else None
-    return StabilityMap(growth, frequency, lower, upper, margin, kept)
+    found = kept.reshape((*shape, 4)) if eigenvalues else None
+    return StabilityMap(growth, frequency, lower, upper, margin, found)
+
+
+@kernel
+def _fill_points(packed: Vector, at_rest: bool, bands: bool, out: Vector, kept: Roots) -> None:
+    """Fill `out` (5, n) with growth rate, frequency, k_cr, upper bound and margin of the rows of `packed`, and `kept`
+    (n or 0, 4) with their eigenvalues.
+    """
+    roots = np.empty(4, dtype=np.complex128)
+    for i in range(packed.shape[0]):
+        q = packed[i]
+        found = True
+        if at_rest:
+            found = fill_rest_roots(q, roots)
+        else:
+            fill_linear_roots(q, roots)
+        if found:
+            growth, omega, grows = leading_root(roots)
+            out[0, i], out[1, i] = growth, omega / (2.0 * math.pi) if grows else math.nan
+            if kept.shape[0] > 0:
+                kept[i] = roots
+        if bands:
+            if at_rest:
+                out[2, i] = bound_at_rest(q, roots)
+            else:
+                out[2, i], out[3, i] = stability_bounds(q, roots)
+            if out[2, i] > 0.0:
+                out[4, i] = (out[2, i] - 0.5 * (q[K1] + q[K2])) / out[2, i]
 
 
 def _checked_grids(grids: Mapping[str, ArrayLike]) -> dict[str, Vector]:
@@ -119,13 +168,3 @@ def _checked_grids(grids: Mapping[str, ArrayLike]) -> dict[str, Vector]:
             checked(bounds, float(array[wrong].flat[0]))
         arrays.update(dict.fromkeys(names, array))
     return arrays
-
-
-def _search_bands(p: RigParameters, arrays: Mapping[str, Vector], shape: tuple[int, ...], out: Vector) -> None:
-    """Fill the bounds that have no closed form."""
-    spread = {name: np.broadcast_to(array, shape) for name, array in arrays.items()}
-    for point in np.flatnonzero(out[2] == -1.0):
-        here = p.replace(**{name: float(array.flat[point]) for name, array in spread.items()})
-        lower, upper = stability_band(here)
-        out[2, point], out[3, point] = lower, upper
-        out[4, point] = (lower - 0.5 * (here.k1 + here.k2)) / lower if lower > 0.0 else np.nan

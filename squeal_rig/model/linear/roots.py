@@ -20,7 +20,9 @@ Roots = NDArray[np.complex128]
 
 _ITERATIONS = 60
 _ROUNDING = 4e-16
-_GROWTH_TOLERANCE = 1e-6  # GROWTH_TOLERANCE of `eigen`
+#: Re(lambda) counts as growth above this share of |lambda|: rounding alone gives an undamped stable rig positive
+#: real parts.
+GROWTH_TOLERANCE = 1e-6
 
 
 @kernel
@@ -137,5 +139,5 @@ def leading_root(roots: Roots) -> tuple[float, float, bool]:
         z = roots[i]
         if z.real > real or (z.real == real and abs(z.imag) > imaginary):
             real, imaginary = z.real, abs(z.imag)
-        grows = grows or z.real > _GROWTH_TOLERANCE * abs(z)
+        grows = grows or z.real > GROWTH_TOLERANCE * abs(z)
     return real, imaginary, grows

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from squeal_rig.model.core.dynamics import Vector
 from squeal_rig.model.core.kernel import fused_kernel, inlined_kernel
+from squeal_rig.model.core.layout import Vector
 
 TERMS = 35
 #: Polynomials that `evaluate_all` takes at once.

@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from squeal_rig.errors import ModelError
-from squeal_rig.model.core.dynamics import (
+from squeal_rig.model.core.forces import arm_extensions, contact_force, friction_ratio
+from squeal_rig.model.core.kernel import kernel
+from squeal_rig.model.core.layout import (
     C_X,
     C_Y,
     K1,
@@ -20,12 +22,10 @@ from squeal_rig.model.core.dynamics import (
     LOAD_X,
     LOAD_Y,
     MASS,
+    SAMPLE_SIZE,
     Vector,
-    arm_extensions,
-    friction_ratio,
     pack,
 )
-from squeal_rig.model.core.kernel import kernel
 from squeal_rig.model.motion import exact
 from squeal_rig.model.motion.exact import next_piece
 from squeal_rig.model.motion.propagator import propagators, substeps_needed
@@ -81,8 +81,7 @@ def _work(samples: Vector, q: Vector, flow: Vector, interval: float, w: Vector, 
             share, order, what = next_piece(state, q, flow, rest, w)
             for n in range(_NODES.shape[0]):
                 evaluate(w, order, share * _NODES[n], rest, at)
-                normal = q[K_C] * max(0.0, q[L_PRE] - at[1])
-                friction = friction_ratio(at[2], q) * normal * at[2]
+                friction = friction_ratio(at[2], q) * contact_force(at[1], q) * at[2]
                 seconds = _WEIGHTS[n] * share * rest
                 sums[0] += seconds * friction
                 sums[1] -= seconds * (q[C_X] * at[2] * at[2] + q[C_Y] * at[3] * at[3])
@@ -117,7 +116,7 @@ def energy_balance(
     state = np.array(displaced_state(p, 0.1) if initial_state is None else initial_state, dtype=np.float64)
     start = state.copy()
     tally, events, sums = np.zeros(exact.TALLY_SIZE), np.empty((0, 2)), np.zeros(3)
-    block, largest = np.empty((_BLOCK, 6)), 0.0
+    block, largest = np.empty((_BLOCK, SAMPLE_SIZE)), 0.0
     samples = math.ceil(duration * sample_rate * (1.0 - 1e-12))
     for first in range(0, samples, _BLOCK):
         part = block[: samples - first]

@@ -13,10 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from squeal_rig.configuration.declared import declarations
 from squeal_rig.errors import ParameterError
-from squeal_rig.model.core.dynamics import L_PRE, PACKED_SIZE, Vector, pack
 from squeal_rig.model.core.kernel import kernel
-from squeal_rig.model.core.rest import rest_position
+from squeal_rig.model.core.layout import L_PRE, PACKED_SIZE, SAMPLE_SIZE, Vector, pack
+from squeal_rig.model.core.statics import FOUND, rest_position
 from squeal_rig.model.motion.exact import CONTACT_TIME, DONE, SEPARATIONS, TALLY_SIZE, advance
 from squeal_rig.model.motion.propagator import FLOW_SIZE, propagators, substeps_needed
 from squeal_rig.model.motion.series import MAX_ORDER, ROWS
@@ -104,11 +105,14 @@ def simulate_many(
             f"initial_compressions of shape {offsets.shape} must be one finite number, or one for each of {runs} runs"
         )
     starts = np.broadcast_to(offsets, (runs,)).copy()
-    packed = np.array([pack(p) for p in parameters]).reshape(runs, PACKED_SIZE)
+    fields = declarations(RigParameters)
+    packed = pack({name: np.array([getattr(p, name) for p in parameters]) for name in fields}).reshape(
+        runs, PACKED_SIZE
+    )
     samples = math.ceil(duration * sample_rate * (1.0 - 1e-12))
     settling = math.ceil(settle * sample_rate * (1.0 - 1e-12))
     table = np.full((runs, len(_COLUMNS)), np.nan)
-    kept = np.full((runs, samples, 6), np.nan) if traces else np.empty((0, samples, 6))
+    kept = np.full((runs, samples, SAMPLE_SIZE), np.nan) if traces else np.empty((0, samples, SAMPLE_SIZE))
 
     def work(first: int) -> None:
         rows = slice(first, first + _RUNS_PER_TASK)
@@ -137,11 +141,11 @@ def _summarise(
     """Run each row of `packed` and fill its row of `table`, and of `kept` (runs, samples, 6) where it has any."""
     flow, w = np.empty(FLOW_SIZE), np.zeros((ROWS, MAX_ORDER + 1))
     tally, events = np.zeros(TALLY_SIZE), np.empty((0, 2))
-    block, state, sums = np.empty((_BLOCK, 6)), np.empty(4), np.empty(_SUMS)
+    block, state, sums = np.empty((_BLOCK, SAMPLE_SIZE)), np.empty(4), np.empty(_SUMS)
     for run in range(packed.shape[0]):
         q = packed[run]
-        x, y, found = rest_position(q)
-        if not found:
+        x, y, ending = rest_position(q)
+        if ending != FOUND:
             table[run, _STATUS] = _NO_EQUILIBRIUM
             continue
         substeps = substeps_needed(q, interval, interval)

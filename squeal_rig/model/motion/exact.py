@@ -21,18 +21,9 @@ from __future__ import annotations
 import numpy as np
 
 from squeal_rig.errors import ModelError
-from squeal_rig.model.core.dynamics import (
-    K_C,
-    L_PRE,
-    MU,
-    SLIP_DIRECTION,
-    SLIP_SPEED,
-    SPEED,
-    Vector,
-    acceleration,
-    friction_ratio,
-)
+from squeal_rig.model.core.forces import acceleration, friction_ratio
 from squeal_rig.model.core.kernel import fused_kernel, inlined_kernel
+from squeal_rig.model.core.layout import K_C, L_PRE, MU, SLIP_DIRECTION, SLIP_SPEED, SPEED, Vector
 from squeal_rig.model.motion.cubic import evaluate_all
 from squeal_rig.model.motion.near import NEAR_ORDER, evaluate_near, expand_near, first_zero_near
 from squeal_rig.model.motion.propagator import (

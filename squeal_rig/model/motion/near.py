@@ -6,8 +6,8 @@ arms is the polynomial g of `propagator`.
 
 from __future__ import annotations
 
-from squeal_rig.model.core.dynamics import C_X, C_Y, K_C, L_PRE, LOAD_X, LOAD_Y, MASS, MU, Vector
 from squeal_rig.model.core.kernel import fused_kernel, inlined_kernel
+from squeal_rig.model.core.layout import C_X, C_Y, K_C, L_PRE, LOAD_X, LOAD_Y, MASS, MU, Vector
 from squeal_rig.model.motion.propagator import GX, GY, K_AA, K_AB, K_BB
 from squeal_rig.model.motion.series import X, Y, first_zero, rests_on_edge
 

@@ -37,7 +37,8 @@ import math
 
 import numpy as np
 
-from squeal_rig.model.core.dynamics import (
+from squeal_rig.model.core.kernel import kernel
+from squeal_rig.model.core.layout import (
     A1X,
     A1Y,
     A2X,
@@ -57,7 +58,6 @@ from squeal_rig.model.core.dynamics import (
     MU,
     Vector,
 )
-from squeal_rig.model.core.kernel import kernel
 from squeal_rig.model.motion.cubic import TERMS, compose, multiply_linear
 
 #: Largest error of one step by propagators, as a share of the displacement (the bound above).

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import math
 
-from squeal_rig.model.core.dynamics import K_C, L_PRE, Vector, acceleration, friction_ratio
+from squeal_rig.model.core.forces import acceleration, contact_force, friction_ratio
 from squeal_rig.model.core.kernel import kernel
-
-#: Columns of a block of samples.
-X, Y, VX, VY, NORMAL, TANGENTIAL = range(6)
-COLUMNS = 6
+from squeal_rig.model.core.layout import NORMAL, TANGENTIAL, VX, VY, Vector, X, Y
 
 
 @kernel
@@ -23,7 +20,7 @@ def advance(state: Vector, q: Vector, interval: float, substeps: int, out: Vecto
     for i in range(out.shape[0]):
         if not math.isfinite(x + y + vx + vy):
             return i
-        normal = q[K_C] * max(0.0, q[L_PRE] - y)
+        normal = contact_force(y, q)
         out[i, X], out[i, Y], out[i, VX], out[i, VY] = x, y, vx, vy
         out[i, NORMAL], out[i, TANGENTIAL] = normal, friction_ratio(vx, q) * normal
         for _ in range(substeps):

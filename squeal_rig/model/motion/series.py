@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import math
 
-from squeal_rig.model.core.dynamics import (
+from squeal_rig.model.core.kernel import fused_kernel
+from squeal_rig.model.core.layout import (
     A1X,
     A1Y,
     A2X,
@@ -37,7 +38,6 @@ from squeal_rig.model.core.dynamics import (
     V_REG,
     Vector,
 )
-from squeal_rig.model.core.kernel import fused_kernel
 from squeal_rig.model.motion.propagator import K_AA, K_AB, K_BB
 
 MAX_ORDER = 16

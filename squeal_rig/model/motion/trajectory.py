@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from squeal_rig.errors import ParameterError
-from squeal_rig.model.core.dynamics import Vector, pack
+from squeal_rig.model.core.layout import SAMPLE_SIZE, VX, Vector, pack
 from squeal_rig.model.core.statics import equilibrium
 from squeal_rig.model.motion import exact, propagator, rk4
 from squeal_rig.model.parameters import RigParameters
@@ -170,7 +170,7 @@ def simulate(
         raise ParameterError(
             f"duration times sample_rate = {samples:.4g} samples is out of bounds: at most {_MAX_SAMPLES}"
         )
-    out = np.empty((int(samples * (1.0 + 1e-12)) + 1, rk4.COLUMNS))
+    out = np.empty((int(samples * (1.0 + 1e-12)) + 1, SAMPLE_SIZE))
     motion.advance(out)
     x, y, vx, vy, normal, tangential = (np.ascontiguousarray(column) for column in out.T)
     t = np.arange(len(out)) / sample_rate
@@ -180,13 +180,13 @@ def simulate(
 def validity_warnings(p: RigParameters, samples: Vector) -> list[str]:
     """Sentences where a block of samples (n, 6) left what the printed model assumes (the paper's section 3)."""
     warnings = []
-    fastest = float(np.max(samples[:, rk4.VX], initial=-math.inf))
+    fastest = float(np.max(samples[:, VX], initial=-math.inf))
     if p.friction_direction == "constant" and fastest > p.belt_speed:
         warnings.append(
             f"the pad's speed along the belt reached {fastest:.4g} m/s, above the belt speed {p.belt_speed:g} m/s:"
             " the printed direction of friction does not hold there"
         )
-    largest = float(np.max(np.abs(samples[:, : rk4.VX]), initial=0.0))
+    largest = float(np.max(np.abs(samples[:, :VX]), initial=0.0))
     arm = min(p.arm_length_1, p.arm_length_2)
     if largest > LARGE_DISPLACEMENT * arm:
         warnings.append(

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from squeal_rig.errors import ModelError
 from squeal_rig.estimation.calibration.evaluation import Evaluation, Evaluator
-from squeal_rig.estimation.calibration.problem import FRICTION_TERMS, Calibration
+from squeal_rig.estimation.calibration.problem import Calibration
 from squeal_rig.estimation.calibration.search import evolve
 from squeal_rig.estimation.calibration.targets import Targets
-from squeal_rig.model.core.friction import friction_coefficient
+from squeal_rig.model.core.law import COEFFICIENTS, friction_coefficient
 from squeal_rig.model.core.statics import equilibrium
 from squeal_rig.model.linear.eigen import eigenvalues, squeal_frequency
 from squeal_rig.model.motion.ensemble import simulate_many
@@ -40,7 +40,7 @@ _ABOVE = 0.003
 _SQUEAL = 0.01
 _MU_FLOOR = 0.05
 _SHOWN = (
-    *("mass", "contact_stiffness", "k3", *FRICTION_TERMS),
+    *("mass", "contact_stiffness", "k3", *COEFFICIENTS),
     *("arm_length_1", "arm_length_2", "pretension_length", "damping_x", "damping_y", "regularization_speed"),
 )
 #: Lengths of the record [s], by the region.
@@ -111,7 +111,7 @@ def stiffened(p: RigParameters, factor: float) -> RigParameters:
     contact = factor * p.contact_stiffness
     clips = p.k3 + p.k4 + contact - p.contact_stiffness
     mass = p.mass * (contact + clips) / (p.contact_stiffness + p.k3 + p.k4)
-    terms = {name: getattr(p, name) / factor for name in FRICTION_TERMS}
+    terms = {name: getattr(p, name) / factor for name in COEFFICIENTS}
     return p.replace(mass=mass, contact_stiffness=contact, k3=0.5 * clips, k4=0.5 * clips, **terms)
 
 
@@ -154,7 +154,7 @@ class TableSearch:
         compressions, record = values.pop("compressions"), values.pop("record")
         damping, ratio = values.pop("damping", 0.0), values.pop("damping_ratio", 1.0)
         factor = values.pop("friction_factor")
-        values |= {name: factor * getattr(self.base, name) / stiffening for name in FRICTION_TERMS}
+        values |= {name: factor * getattr(self.base, name) / stiffening for name in COEFFICIENTS}
         p = stiffened(self.base, stiffening).replace(
             friction_direction=self.region.friction_direction,
             friction_speed=self.region.friction_speed,

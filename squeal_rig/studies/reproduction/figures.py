@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from squeal_rig.estimation.spectra import REFERENCE
+from squeal_rig.model.core.law import friction_law
 from squeal_rig.report.paper_style import Picture, picture, style
 from squeal_rig.studies.inverse.tradeoff import TradeOff
 from squeal_rig.studies.reproduction.friction_law import PRELOADS, FrictionExperiment
@@ -26,8 +27,7 @@ def friction_figure(experiment: FrictionExperiment) -> Picture:
         for number, preload in enumerate(PRELOADS):
             points = np.array([point for point in experiment.points if point[1] == preload])
             model = experiment.model
-            slope = model.mu_speed + model.mu_speed_preload * preload
-            fitted = model.mu0 + model.mu_preload * preload + slope * points[:, 0]
+            fitted = friction_law(model.coefficients, points[:, 0], preload)
             look = style(number, markers=True)
             axis.plot(
                 points[:, 0],
@@ -87,7 +87,7 @@ def critical_figure(preloads: Values, curves: dict[float, Values], rows: Sequenc
             points = [row.paper for row in rows if row.paper.belt_speed == speed]
             axis.plot(
                 [p.preload for p in points],
-                [p.k_cr / 1e7 for p in points],
+                [p.value / 1e7 for p in points],
                 "s",
                 color="#b2182b",
                 mfc="none",

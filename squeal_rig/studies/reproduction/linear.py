@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from squeal_rig.model.linear.eigen import eigenvalues, is_unstable
-from squeal_rig.model.linear.stability import critical_pad_stiffness, stability_band
+from squeal_rig.estimation.calibration.targets import Target
+from squeal_rig.model.linear.eigen import critical_pad_stiffness, stability_band
+from squeal_rig.model.linear.maps import stability_map
 from squeal_rig.model.parameters import RigParameters
-from squeal_rig.studies.reproduction.paper import PaperNumbers, Threshold
+from squeal_rig.studies.reproduction.paper import PaperNumbers
 
 Values = NDArray[np.float64]
 
@@ -38,14 +39,14 @@ class Locus:
 class ThresholdRow:
     """A threshold of the paper beside the rig's, and whether eigenvalues confirm it 0.1 % on either side."""
 
-    paper: Threshold
+    paper: Target
     k_cr: float
     confirmed: bool
 
     @property
     def error(self) -> float:
         """Relative difference to the paper's value."""
-        return self.k_cr / self.paper.k_cr - 1.0
+        return self.k_cr / self.paper.value - 1.0
 
 
 def eigenvalue_loci(p: RigParameters, top: float = 1e8, points: int = 401) -> list[Locus]:
@@ -54,15 +55,10 @@ def eigenvalue_loci(p: RigParameters, top: float = 1e8, points: int = 401) -> li
     loci = []
     for figure, preload, speed in FIGURE_POINTS:
         q = p.replace(preload=preload, belt_speed=speed)
-        values = np.array([eigenvalues(q.replace(pad_stiffness=float(k)), linear=True) for k in stiffness])
+        values = stability_map(q, bands=False, eigenvalues=True, pad_stiffness=stiffness).eigenvalues
+        assert values is not None
         loci.append(Locus(figure, preload, speed, stiffness, values, critical_pad_stiffness(q)))
     return loci
-
-
-def critical_curve(p: RigParameters, speed: float, preloads: Values) -> Values:
-    """Fig. 9: k_cr [N/m] (n,) over preloads (n,) [N] at one belt speed [m/s]."""
-    q = p.replace(belt_speed=speed)
-    return np.array([critical_pad_stiffness(q.replace(preload=float(f))) for f in preloads])
 
 
 def threshold_rows(p: RigParameters, paper: PaperNumbers) -> list[ThresholdRow]:
@@ -71,48 +67,36 @@ def threshold_rows(p: RigParameters, paper: PaperNumbers) -> list[ThresholdRow]:
     for threshold in paper.thresholds:
         q = p.replace(preload=threshold.preload, belt_speed=threshold.belt_speed)
         k_cr = critical_pad_stiffness(q)
-        below, above = (
-            is_unstable(eigenvalues(q.replace(pad_stiffness=k_cr * side), linear=True))
-            for side in (1.0 - _SIDE, 1.0 + _SIDE)
-        )
-        rows.append(ThresholdRow(threshold, k_cr, above and not below))
+        sides = k_cr * np.array([1.0 - _SIDE, 1.0 + _SIDE])
+        below, above = ~np.isnan(stability_map(q, bands=False, pad_stiffness=sides).squeal_frequency)
+        rows.append(ThresholdRow(threshold, k_cr, bool(above and not below)))
     return rows
 
 
 def critical_map(p: RigParameters, preloads: Values, speeds: Values) -> Values:
-    """k_cr [N/m] over (speeds, preloads), shape (m, n); nan where no stiffness is unstable."""
-    return np.array([critical_curve(p, float(v), preloads) for v in speeds])
+    """Fig. 9 and beyond: k_cr [N/m] over (speeds [m/s], preloads [N]), (m, n); nan where no stiffness is unstable."""
+    return stability_map(p, preload=preloads, belt_speed=speeds[:, None]).critical_pad_stiffness
 
 
 def growth_map(p: RigParameters, preloads: Values, stiffnesses: Values) -> Values:
     """Largest Re lambda [1/s] of the linear model over (preloads, stiffnesses), shape (m, n)."""
-    return np.array(
-        [
-            [
-                float(eigenvalues(p.replace(preload=float(f), pad_stiffness=float(k)), linear=True).real.max())
-                for k in stiffnesses
-            ]
-            for f in preloads
-        ]
-    )
+    return stability_map(p, bands=False, preload=preloads[:, None], pad_stiffness=stiffnesses).growth_rate
 
 
 def threshold_preload(p: RigParameters, highest: float) -> float | None:
     """Lowest preload [N] up to `highest` at which the stiffness of `p` becomes unstable; None where there is none."""
     k = 0.5 * (p.k1 + p.k2)
-
-    def unstable(preload: float) -> bool:
-        lower, upper = stability_band(p.replace(preload=preload))
-        return bool(lower < k < upper)
-
     grid = np.linspace(0.0, highest, 401)
-    first = next((i for i, f in enumerate(grid) if unstable(float(f))), None)
-    if first is None:
+    found = stability_map(p, preload=grid)
+    unstable = (found.critical_pad_stiffness < k) & (k < found.upper_pad_stiffness)
+    if not unstable.any():
         return None
+    first = int(unstable.argmax())
     if first == 0:
         return 0.0
     low, high = float(grid[first - 1]), float(grid[first])
     for _ in range(40):
         middle = 0.5 * (low + high)
-        low, high = (low, middle) if unstable(middle) else (middle, high)
+        lower, upper = stability_band(p.replace(preload=middle))
+        low, high = (low, middle) if lower < k < upper else (middle, high)
     return high

@@ -214,7 +214,8 @@ def peak_curves(p: RigParameters, paper: PaperNumbers, start: float, progress: P
     preloads = np.linspace(10.0, 300.0, 30)
     curves = []
     for jump in paper.jumps:
-        progress(f"Fig. 12: k = {jump.k:.0e} N/m, V = {jump.belt_speed:g} m/s, start {start:g} u")
-        q = p.replace(pad_stiffness=jump.k, belt_speed=jump.belt_speed)
-        curves.append(peak_curve(q, preloads, start, jump.jump_preload, highest))
+        progress(f"Fig. 12: k = {jump.pad_stiffness:.0e} N/m, V = {jump.belt_speed:g} m/s, start {start:g} u")
+        q = p.replace(pad_stiffness=jump.pad_stiffness, belt_speed=jump.belt_speed)
+        reported = None if math.isnan(jump.value) else jump.value
+        curves.append(peak_curve(q, preloads, start, reported, highest))
     return curves

@@ -1,22 +1,15 @@
-"""The numbers that the paper's text reports."""
+"""The numbers that the paper's text reports, as the reproduction lays them out."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
-from squeal_rig.configuration.files import config_directory, load_yaml
+from squeal_rig.configuration.files import config_directory
 from squeal_rig.errors import ConfigurationError
+from squeal_rig.estimation.calibration.targets import Target, load_targets
 
-
-@dataclass(frozen=True)
-class Threshold:
-    """A critical pad stiffness [N/m] at a preload [N] and a belt speed [m/s], and the figure that shows it."""
-
-    preload: float
-    belt_speed: float
-    k_cr: float
-    source: str
+_TABLE_1 = ("nonlinear_frequency", "squeal_frequency", "contact_loss")
 
 
 @dataclass(frozen=True)
@@ -30,24 +23,18 @@ class FrequencyRow:
 
 
 @dataclass(frozen=True)
-class Jump:
-    """A panel of Fig. 12: preload [N] at which the peak displacement jumps, None where it does not."""
-
-    k: float
-    belt_speed: float
-    jump_preload: float | None
-
-
-@dataclass(frozen=True)
 class PaperNumbers:
-    """All numbers of the text. Table 1 holds at `table_preload` [N] and `table_speed` [m/s]."""
+    """All numbers of the text. Table 1 holds at `table_preload` [N] and `table_speed` [m/s].
 
-    thresholds: tuple[Threshold, ...]
+    `superharmonics`: whether there are any, by preload [N] and pad stiffness [N/m].
+    """
+
+    thresholds: tuple[Target, ...]
     table: tuple[FrequencyRow, ...]
     table_preload: float
     table_speed: float
-    superharmonics: dict[tuple[float, float], bool]
-    jumps: tuple[Jump, ...]
+    superharmonics: Mapping[tuple[float, float], bool]
+    jumps: tuple[Target, ...]
 
 
 def paper_numbers() -> PaperNumbers:
@@ -57,21 +44,18 @@ def paper_numbers() -> PaperNumbers:
         ConfigurationError: the file is missing or not as it must be.
     """
     path = config_directory() / "paper" / "yavuz_sen_2023.yaml"
-    content: dict[str, Any] = load_yaml(path)
-    try:
-        table = content["squeal_frequency"]
-        present = {
-            (float(row["preload"]), float(k)): bool(there)
-            for row in content["superharmonics"]
-            for k, there in row["present"].items()
-        }
-        return PaperNumbers(
-            thresholds=tuple(Threshold(**row) for row in content["critical_pad_stiffness"]),
-            table=tuple(FrequencyRow(**row) for row in table["rows"]),
-            table_preload=table["preload"],
-            table_speed=table["belt_speed"],
-            superharmonics=present,
-            jumps=tuple(Jump(**row) for row in content["peak_displacement_jump"]),
-        )
-    except (KeyError, TypeError) as error:
-        raise ConfigurationError(f"{path}: not the numbers of the paper: {error}") from None
+    targets = load_targets(path)
+    columns = [targets.of(kind) for kind in _TABLE_1]
+    if not columns[0] or len({len(column) for column in columns}) != 1:
+        raise ConfigurationError(f"{path}: not the numbers of the paper: Table 1 is not whole")
+    first = columns[0][0]
+    return PaperNumbers(
+        thresholds=targets.of("critical_pad_stiffness"),
+        table=tuple(
+            FrequencyRow(row[0].pad_stiffness, *(item.value for item in row)) for row in zip(*columns, strict=True)
+        ),
+        table_preload=first.preload,
+        table_speed=first.belt_speed,
+        superharmonics=targets.superharmonics,
+        jumps=targets.of("peak_displacement_jump"),
+    )

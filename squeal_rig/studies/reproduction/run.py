@@ -12,6 +12,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import Progress as ProgressBar
 
+from squeal_rig.configuration.declared import declarations
 from squeal_rig.model.parameters import RigParameters
 from squeal_rig.report.page import DataTable, Section, write_page
 from squeal_rig.studies.reproduction import figures, linear, nonlinear, statements
@@ -78,7 +79,9 @@ def compute(preset: str, progress: Progress) -> Results:
     friction = measure_friction(damped)
     progress("Figs. 5 to 9: eigenvalues and critical stiffness")
     loci = linear.eigenvalue_loci(p)
-    curves = {v: linear.critical_curve(p, v, preloads) for v in linear.FIGURE_9_SPEEDS}
+    curves = dict(
+        zip(linear.FIGURE_9_SPEEDS, linear.critical_map(p, preloads, np.array(linear.FIGURE_9_SPEEDS)), strict=True)
+    )
     progress("maps of critical stiffness and growth")
     critical = linear.critical_map(p, preloads, speeds)
     coarse = preloads[::2]
@@ -140,10 +143,10 @@ def run_reproduction(preset: str, folder: Path, console: Console) -> None:
 def _sections(r: Results) -> Iterable[Section]:
     yield Section("Every number of the text", tables=[verdict_table(r)])
     yield Section("The eight statements of the conclusions", tables=[statement_table(r)])
-    model = r.friction.model
+    model, known = r.friction.model, declarations(RigParameters)
+    terms = [f"{name} = {value:.4e} {known[name].unit}".rstrip() for name, value in model.coefficients.items()]
     law = (
-        f"Refitted: mu0 = {model.mu0:.5f}, mu_V = {model.mu_speed:.4e} s/m, mu_F = {model.mu_preload:.4e} /N,"
-        f" mu_VF = {model.mu_speed_preload:.4e} s/(m N); RMS residual {model.rms_residual:.1e}"
+        f"Refitted: {', '.join(terms)}; RMS residual {model.rms_residual:.1e}"
         f" over {model.operating_points} operating points."
     )
     points = DataTable(
@@ -183,7 +186,7 @@ def verdict_table(r: Results) -> DataTable:
         add(
             f"k_cr, F = {t.preload:g} N, V = {t.belt_speed:g} m/s ({t.source})",
             "N/m",
-            t.k_cr,
+            t.value,
             row.k_cr,
             _WITHIN["k_cr"],
         )

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from squeal_rig.model.linear.eigen import is_unstable
 from squeal_rig.studies.reproduction.linear import Locus, Values
 from squeal_rig.studies.reproduction.nonlinear import PeakCurve, SpectrumCase, TableRow
 
@@ -15,6 +16,8 @@ AGREES, DIFFERS = "agrees", "differs"
 _SIMILAR = 0.0856
 #: "Significant" separation: more than a tenth of the time.
 _SIGNIFICANT = 0.1
+# A gap of two equal frequencies is rounding below this share.
+_ROUNDING = 1e-12
 _JUMP_TOLERANCE = 0.05
 _PAPER_PRELOADS = (50.0, 300.0)
 
@@ -41,14 +44,11 @@ def mode_coupling(loci: Sequence[Locus]) -> Statement:
         gap = (frequencies[:, 1] - frequencies[:, 0]) / frequencies[:, 1]
         beyond = locus.stiffness > locus.k_cr
         gaps.append((float(gap[~beyond][0]), float(gap[beyond].max())))
-        real = locus.eigenvalues.real.max(axis=1)
-        size = np.abs(locus.eigenvalues).max(axis=1)
-        grows = grows and bool(
-            (real[beyond] > 1e-6 * size[beyond]).all() and (real[~beyond] <= 1e-6 * size[~beyond]).all()
-        )
+        growing = np.array([is_unstable(values) for values in locus.eigenvalues])
+        grows = grows and bool((growing == beyond).all())
     coupled = all(beyond < 1e-3 < below for below, beyond in gaps)
     evidence = (
-        f"gap of the two frequencies beyond k_cr: {max(g[1] for g in gaps):.1e} of the frequency or less,"
+        f"gap of the two frequencies beyond k_cr: {max(_ROUNDING, *(g[1] for g in gaps)):.0e} of the frequency or less,"
         f" at k = 0: {min(g[0] for g in gaps):.2f} or more"
     )
     return judged("Mode coupling triggers the instability.", coupled and grows, evidence)
