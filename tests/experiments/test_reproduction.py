@@ -44,7 +44,7 @@ def test_all_eight_thresholds_are_roots_within_eight_percent():
 def test_the_law_is_recovered_through_instruments_and_estimator():
     model = measure_friction(DAMPED).model
     # Eq. (2.1) holds to first order in r/L, 1e-4 here.
-    assert model.mu0 == pytest.approx(PRESET.mu0, rel=1e-3)
+    assert model.coefficients["mu0"] == pytest.approx(PRESET.mu0, rel=1e-3)
     assert model.coefficients["mu_speed_preload"] == pytest.approx(PRESET.mu_speed_preload, rel=1e-3)
     assert model.rms_residual < 1e-6
 

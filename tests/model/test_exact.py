@@ -208,6 +208,16 @@ def test_far_motions_agree_with_dop853():
     assert largest_error(states(run), expected) < 1e-6
 
 
+def test_a_pad_that_leaves_the_small_range_within_a_step_agrees_with_dop853():
+    p = SQUEALING.replace(damping_x=20.0, damping_y=20.0)
+    # From a hundredth of an arm's thousandth to a tenth of an arm in one sample: the far hits of a diverging motion.
+    start = np.array([2e-5, 4e-5, -450.0, -750.0])
+    run = simulate(p, 2e-5, initial_state=start)
+    expected, _ = reference(p, start, run.t)
+    assert np.max(np.hypot(run.x, run.y)) > 0.01
+    assert largest_error(states(run), expected) < 1e-9
+
+
 @pytest.mark.parametrize("length", [2e-3, 1e-2, 0.1, 10.0])
 def test_arms_of_any_length_agree_with_dop853(length):
     p = SQUEALING.replace(arm_length_1=length, arm_length_2=0.7 * length, pretension_length=2e-5)

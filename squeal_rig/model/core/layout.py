@@ -32,13 +32,21 @@ def pack(p: RigParameters | Mapping[str, Any]) -> Vector:
 
     `p` is one rig, or the values of all its fields by name, numbers and arrays that broadcast to one shape.
     """
-    v = vars(p) if isinstance(p, RigParameters) else p
-    shape = np.broadcast_shapes(*(np.shape(value) for value in v.values()))
+    one = isinstance(p, RigParameters)
+    values: Mapping[str, Any] = vars(p) if one else p
+    shape = () if one else np.broadcast_shapes(*(np.shape(value) for value in values.values()))
     q = np.empty((*shape, PACKED_SIZE))
+    for column, value in packed_columns(values).items():
+        q[..., column] = value
+    return q
+
+
+def packed_columns(v: Mapping[str, Any]) -> dict[int, Any]:
+    """Column -> number or array, of the values of all fields by name: what does not vary stays a number."""
     preload, speed = v["preload"], v["belt_speed"]
     c1, s1 = np.cos(v["arm_angle_1"]), np.sin(v["arm_angle_1"])
     c2, s2 = np.cos(v["arm_angle_2"]), np.sin(v["arm_angle_2"])
-    columns: dict[int, Any] = {
+    return {
         MASS: v["mass"],
         K1: v["k1"],
         K2: v["k2"],
@@ -68,9 +76,6 @@ def pack(p: RigParameters | Mapping[str, Any]) -> Vector:
         SIN_2: s2,
         SIGMA: v["contact_smoothing"],
     }
-    for column, values in columns.items():
-        q[..., column] = values
-    return q
 
 
 def _chosen(v: Mapping[str, Any], switch: str, option: str) -> NDArray[np.bool_]:

@@ -29,7 +29,6 @@ from squeal_rig.model.core.layout import (
     K_C,
     L_PRE,
     MASS,
-    PACKED_SIZE,
     SIN_1,
     SIN_2,
     Vector,
@@ -83,22 +82,28 @@ def fill_rest_roots(q: Vector, roots: Roots) -> bool:
 def stability_bounds(q: Vector, roots: Roots) -> tuple[float, float]:
     """Bounds [N/m] of the lowest unstable range of (k1 + k2)/2 at the ratio k1/k2 of `q`; nan, nan where there is none.
 
-    `roots` (4,) is room to work in.
+    `roots` (4,) is room to work in; k1 and k2 of `q` are changed on the way, and put back.
     """
+    k1, k2 = q[K1], q[K2]
+    bounds = _bounds(q, roots)
+    q[K1], q[K2] = k1, k2
+    return bounds
+
+
+@kernel
+def _bounds(q: Vector, roots: Roots) -> tuple[float, float]:
     share_1, share_2 = _shares(q)
     stiffest = _STIFFEST / max(share_1, share_2) * (1.0 - 1e-12)
-    own = np.empty(PACKED_SIZE)
-    own[:] = q
     flutter = _undamped_flutter(q, share_1, share_2)
     # Damping of one direction alone, which slip-dependent friction is as well, makes growth begin below the
     # tolerance of growth: no root tells where it passes that.
     if friction_ratio_slope(0.0, q) != 0.0 or (q[C_X] == 0.0) != (q[C_Y] == 0.0):
-        return _scanned(own, share_1, share_2, stiffest, flutter, roots)
+        return _scanned(q, share_1, share_2, stiffest, flutter, roots)
     low, high = flutter if q[C_X] == 0.0 else _damped_flutter(q, share_1, share_2)
     below, above = _divergence(q, share_1, share_2)
-    if not _grows_within(low, high, stiffest, share_1, share_2, own, roots):
+    if not _grows_within(low, high, stiffest, share_1, share_2, q, roots):
         low, high = math.nan, math.nan
-    if not _grows_within(below, above, stiffest, share_1, share_2, own, roots):
+    if not _grows_within(below, above, stiffest, share_1, share_2, q, roots):
         below, above = math.nan, math.nan
     if math.isnan(low) or below < low:
         low, high, below, above = below, above, low, high
@@ -112,18 +117,19 @@ def bound_at_rest(q: Vector, roots: Roots) -> float:
     """Lowest unstable pad stiffness [N/m], k1 = k2, of the model linearised at its exact equilibrium.
 
     Geometric stiffness and turned arms included; nan where none of the stiffnesses scanned is unstable, 0 where the
-    first is. They are a factor of 1.06 apart: a narrower unstable range can be missed.
+    first is. They are a factor of 1.06 apart: a narrower unstable range can be missed. `roots` and `q` as above.
     """
-    own = np.empty(PACKED_SIZE)
-    own[:] = q
+    k1, k2 = q[K1], q[K2]
     lowest, highest, points = REST_SCAN
-    stable = 0.0
+    stable, bound = 0.0, math.nan
     for i in range(points):
         k = lowest * (highest / lowest) ** (i / (points - 1))
-        if _grows(k, 1.0, 1.0, True, own, roots):
-            return 0.0 if i == 0 else _edge(stable, k, 1.0, 1.0, True, own, roots)
+        if _grows(k, 1.0, 1.0, True, q, roots):
+            bound = 0.0 if i == 0 else _edge(stable, k, 1.0, 1.0, True, q, roots)
+            break
         stable = k
-    return math.nan
+    q[K1], q[K2] = k1, k2
+    return bound
 
 
 @kernel
@@ -219,36 +225,36 @@ def _negative_range(a: float, b: float, c: float) -> tuple[float, float]:
 
 
 @kernel
-def _grows(k: float, share_1: float, share_2: float, at_rest: bool, own: Vector, roots: Roots) -> bool:
-    """Whether an eigenvalue grows at mean stiffness k, which `own` is set to; False without an equilibrium."""
-    own[K1], own[K2] = share_1 * k, share_2 * k
+def _grows(k: float, share_1: float, share_2: float, at_rest: bool, q: Vector, roots: Roots) -> bool:
+    """Whether an eigenvalue grows at mean stiffness k, which `q` is set to; False without an equilibrium."""
+    q[K1], q[K2] = share_1 * k, share_2 * k
     if at_rest:
-        return bool(fill_rest_roots(own, roots) and leading_root(roots)[2])
-    fill_linear_roots(own, roots)
+        return bool(fill_rest_roots(q, roots) and leading_root(roots)[2])
+    fill_linear_roots(q, roots)
     return bool(leading_root(roots)[2])
 
 
 @kernel
 def _grows_within(
-    low: float, high: float, stiffest: float, share_1: float, share_2: float, own: Vector, roots: Roots
+    low: float, high: float, stiffest: float, share_1: float, share_2: float, q: Vector, roots: Roots
 ) -> bool:
     """Whether an eigenvalue grows at one of the probes in a range of k [N/m], as far as the declared bounds reach."""
     high = min(high, stiffest)
     if not low < high:
         return False
     for share in _PROBES:
-        if _grows(low + share * (high - low), share_1, share_2, False, own, roots):
+        if _grows(low + share * (high - low), share_1, share_2, False, q, roots):
             return True
     return False
 
 
 @kernel
 def _scanned(
-    own: Vector, share_1: float, share_2: float, stiffest: float, flutter: tuple[float, float], roots: Roots
+    q: Vector, share_1: float, share_2: float, stiffest: float, flutter: tuple[float, float], roots: Roots
 ) -> tuple[float, float]:
     """The lowest unstable range by a scan of the largest real part over k and bisection of its edges."""
     grid = np.zeros(1 + _SCAN_POINTS + _FLUTTER_POINTS)
-    lowest = 1e-4 * own[K_C]
+    lowest = 1e-4 * q[K_C]
     for i in range(_SCAN_POINTS):
         grid[1 + i] = lowest * (stiffest / lowest) ** (i / (_SCAN_POINTS - 1))
     used = 1 + _SCAN_POINTS
@@ -260,24 +266,24 @@ def _scanned(
     grid[:used].sort()
     lower = math.nan
     for i in range(used):
-        grows = _grows(grid[i], share_1, share_2, False, own, roots)
+        grows = _grows(grid[i], share_1, share_2, False, q, roots)
         if math.isnan(lower) and grows:
-            lower = 0.0 if i == 0 else _edge(grid[i - 1], grid[i], share_1, share_2, False, own, roots)
+            lower = 0.0 if i == 0 else _edge(grid[i - 1], grid[i], share_1, share_2, False, q, roots)
         elif not math.isnan(lower) and not grows:
-            return lower, _edge(grid[i], grid[i - 1], share_1, share_2, False, own, roots)
+            return lower, _edge(grid[i], grid[i - 1], share_1, share_2, False, q, roots)
     return lower, lower + math.inf
 
 
 @kernel
 def _edge(
-    stable: float, unstable: float, share_1: float, share_2: float, at_rest: bool, own: Vector, roots: Roots
+    stable: float, unstable: float, share_1: float, share_2: float, at_rest: bool, q: Vector, roots: Roots
 ) -> float:
     """The edge between a stable and an unstable stiffness, to rounding."""
     for _ in range(_BISECTIONS):
         middle = 0.5 * (stable + unstable)
         if middle in (stable, unstable):
             break
-        if _grows(middle, share_1, share_2, at_rest, own, roots):
+        if _grows(middle, share_1, share_2, at_rest, q, roots):
             unstable = middle
         else:
             stable = middle

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from squeal_rig.configuration.declared import checked, declarations
 from squeal_rig.errors import ParameterError
 from squeal_rig.model.core.kernel import kernel
-from squeal_rig.model.core.layout import K1, K2, Vector, pack
+from squeal_rig.model.core.layout import K1, K2, PACKED_SIZE, Vector, packed_columns
 from squeal_rig.model.linear.bounds import bound_at_rest, fill_linear_roots, fill_rest_roots, stability_bounds
 from squeal_rig.model.linear.roots import Roots, leading_root
 from squeal_rig.model.parameters import RigParameters
@@ -106,8 +106,14 @@ def map_points(
 
     def work(first: int) -> None:
         part = slice(first, min(first + _CHUNK, points))
-        packed = pack({**values, **{name: array.flat[part] for name, array in spread.items()}})
-        _fill_points(packed.reshape(-1, packed.shape[-1]), at_rest, bands, out[:, part], kept[part])
+        columns = packed_columns({**values, **{name: array.flat[part] for name, array in spread.items()}})
+        base, changing = np.zeros(PACKED_SIZE), [column for column, value in columns.items() if np.ndim(value)]
+        for column, value in columns.items():
+            base[column] = 0.0 if np.ndim(value) else value
+        rows = np.empty((len(changing), part.stop - part.start))
+        for row, column in zip(rows, changing, strict=True):
+            row[:] = columns[column]
+        _fill_points(base, np.array(changing, dtype=np.int64), rows, at_rest, bands, out[:, part], kept[part])
 
     workers = min(os.cpu_count() or 1 if threads is None else threads, -(-points // _CHUNK))
     if workers <= 1:
@@ -122,13 +128,16 @@ def map_points(
 
 
 @kernel
-def _fill_points(packed: Vector, at_rest: bool, bands: bool, out: Vector, kept: Roots) -> None:
-    """Fill `out` (5, n) with growth rate, frequency, k_cr, upper bound and margin of the rows of `packed`, and `kept`
-    (n or 0, 4) with their eigenvalues.
+def _fill_points(
+    base: Vector, changing: NDArray[np.int64], rows: Vector, at_rest: bool, bands: bool, out: Vector, kept: Roots
+) -> None:
+    """Fill `out` (5, n) with growth rate, frequency, k_cr, upper bound and margin, and `kept` (n or 0, 4) with
+    eigenvalues, of packed parameters `base` with `rows` (v, n) in the columns `changing` (v,).
     """
-    roots = np.empty(4, dtype=np.complex128)
-    for i in range(packed.shape[0]):
-        q = packed[i]
+    q, roots = base.copy(), np.empty(4, dtype=np.complex128)
+    for i in range(out.shape[1]):
+        for j in range(changing.shape[0]):
+            q[changing[j]] = rows[j, i]
         found = True
         if at_rest:
             found = fill_rest_roots(q, roots)

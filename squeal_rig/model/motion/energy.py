@@ -27,7 +27,7 @@ from squeal_rig.model.core.layout import (
     pack,
 )
 from squeal_rig.model.motion import exact
-from squeal_rig.model.motion.exact import next_piece
+from squeal_rig.model.motion.exact import MAX_PIECES, follow_piece, next_piece
 from squeal_rig.model.motion.propagator import propagators, substeps_needed
 from squeal_rig.model.motion.series import evaluate
 from squeal_rig.model.motion.trajectory import displaced_state
@@ -71,13 +71,16 @@ def stored_energy(state: Vector, q: Vector) -> float:
 
 
 @kernel
-def _work(samples: Vector, q: Vector, flow: Vector, interval: float, w: Vector, sums: Vector) -> None:
-    """Add to `sums` (3,) the work of friction and damping and the turnover over the interval after each sample."""
+def _work(samples: Vector, q: Vector, flow: Vector, interval: float, w: Vector, sums: Vector) -> int:
+    """Add to `sums` (3,) the work of friction and damping and the turnover over the interval after each sample.
+
+    Returns the number of the first sample after which the motion cannot be followed, all of them where it can.
+    """
     state, at = np.empty(4), np.empty(4)
     for i in range(samples.shape[0]):
         state[:] = samples[i, :4]
         rest = interval
-        while rest > 0.0:
+        for _ in range(MAX_PIECES):
             share, order, what = next_piece(state, q, flow, rest, w)
             for n in range(_NODES.shape[0]):
                 evaluate(w, order, share * _NODES[n], rest, at)
@@ -86,10 +89,13 @@ def _work(samples: Vector, q: Vector, flow: Vector, interval: float, w: Vector, 
                 sums[0] += seconds * friction
                 sums[1] -= seconds * (q[C_X] * at[2] * at[2] + q[C_Y] * at[3] * at[3])
                 sums[2] += seconds * abs(friction)
-            evaluate(w, order, share, rest, state)
-            if what == 1:
-                state[1] = q[L_PRE]
+            follow_piece(state, q, share, order, what, rest, w)
             rest *= 1.0 - share
+            if rest <= 0.0:
+                break
+        if rest > 0.0:
+            return i
+    return len(samples)
 
 
 def energy_balance(
@@ -122,7 +128,8 @@ def energy_balance(
         part = block[: samples - first]
         ended, filled = exact.advance(state, q, flow, substeps, w, tally, events, part)
         exact.refuse_unless_done(ended, filled * interval)
-        _work(part, q, flow, interval, w, sums)
+        followed = _work(part, q, flow, interval, w, sums)
+        exact.refuse_unless_done(exact.DONE if followed == len(part) else exact.STUCK, followed * interval)
         largest = max(largest, float(np.max(part[:, 2] ** 2 + part[:, 3] ** 2)))
     if not np.isfinite(sums).all():
         raise ModelError("the motion left every bound: no finite work")

@@ -67,7 +67,7 @@ DONE, NOT_FINITE, STUCK = 0, 1, 2
 _CACHE_LINE = 8  # numbers in it
 # Beyond the near range; rate times step is at most 0.25, faster changes shorten the step.
 _FULL_ORDER, _FULL_ARM_ORDER = 14, 12
-_MAX_PIECES = 100_000
+MAX_PIECES = 100_000
 # Where a diverging motion is given up: long before its numbers overflow.
 _BEYOND_M, _BEYOND_M_S = 1e6, 1e12
 
@@ -95,7 +95,7 @@ def refuse_unless_done(ended: int, time: float) -> None:
     if ended == STUCK:
         raise ModelError(
             f"the motion cannot be followed {time:.4g} s into the block:"
-            f" a step would need more than {_MAX_PIECES} pieces"
+            f" a step would need more than {MAX_PIECES} pieces"
         )
 
 
@@ -127,7 +127,9 @@ def next_piece(state: Vector, q: Vector, flow: Vector, rest: float, w: Vector) -
     accuracy or the end of the step, 1 a contact event, 2 V - vx = 0.
     """
     slips = q[SLIP_SPEED] > 0.0 or q[SLIP_DIRECTION] > 0.0
-    if slips or rest > flow[STEP] or not max(abs(state[0]), abs(state[1])) <= flow[NEAR]:
+    # A fast pad may leave the small range within the step: where it is at the end counts too.
+    reach = max(abs(state[0]) + rest * abs(state[2]), abs(state[1]) + rest * abs(state[3]))
+    if slips or rest > flow[STEP] or not reach <= flow[NEAR]:
         return _far_piece(state, q, flow, rest, w)
     gap = state[1] - q[L_PRE]
     contact = gap < 0.0 or (gap == 0.0 and (state[3] < 0.0 or (state[3] == 0.0 and is_in_contact(state, q))))
@@ -163,25 +165,32 @@ def _far_piece(state: Vector, q: Vector, flow: Vector, rest: float, w: Vector) -
 
 
 @inlined_kernel
+def follow_piece(state: Vector, q: Vector, share: float, order: int, what: int, rest: float, w: Vector) -> None:
+    """Carry `state` to the end of a piece, and onto the event that ends it: by rounding it may fall short of it."""
+    if order == NEAR_ORDER:
+        evaluate_near(w, share, rest, state)
+    else:
+        evaluate(w, order, share, rest, state)
+    if what == 1:
+        state[1] = q[L_PRE]
+    elif what == 2:
+        state[2] = q[SPEED]
+
+
+@inlined_kernel
 def careful_step(
     state: Vector, q: Vector, flow: Vector, start: float, h: float, w: Vector, tally: Vector, events: Vector
 ) -> int:
     """Carry `state` over h [s] through every event on the way; `start` is the time in the block [s]."""
     rest = h
-    for _ in range(_MAX_PIECES):
+    for _ in range(MAX_PIECES):
         share, order, what = next_piece(state, q, flow, rest, w)
         if not share > 0.0:
             break
-        if order == NEAR_ORDER:
-            evaluate_near(w, share, rest, state)
-        else:
-            evaluate(w, order, share, rest, state)
+        follow_piece(state, q, share, order, what, rest, w)
         rest *= 1.0 - share
         if what == 1:
-            state[1] = q[L_PRE]
             _count_event(state[3], start + (h - rest), tally, events)
-        elif what == 2:
-            state[2] = q[SPEED]
         if rest <= 0.0:
             break
     # NaN fails this too.

@@ -185,7 +185,9 @@ def judge(p: RigParameters, compressions: float, record: float, targets: Targets
     missing = int(np.isnan(linear).sum())
     if missing:
         return Verdict(p, compressions, record, nothing, nothing, missing, violations)
-    thresholds = evaluator.of_rig(p, ("critical_pad_stiffness",))
+    # The paper's thresholds are those of its linear model, whose friction is the printed one whatever the motion's is.
+    printed = p.replace(friction_direction="constant", friction_speed="belt")
+    thresholds = evaluator.of_rig(printed, ("critical_pad_stiffness",))
     missing = int(thresholds.missing[0])
     if missing:
         return Verdict(p, compressions, record, nothing, nothing, missing, violations)
