@@ -32,9 +32,8 @@ def pack(p: RigParameters | Mapping[str, Any]) -> Vector:
 
     `p` is one rig, or the values of all its fields by name, numbers and arrays that broadcast to one shape.
     """
-    one = isinstance(p, RigParameters)
-    values: Mapping[str, Any] = vars(p) if one else p
-    shape = () if one else np.broadcast_shapes(*(np.shape(value) for value in values.values()))
+    values: Mapping[str, Any] = vars(p) if isinstance(p, RigParameters) else p
+    shape = () if values is not p else np.broadcast_shapes(*(np.shape(value) for value in values.values()))
     q = np.empty((*shape, PACKED_SIZE))
     for column, value in packed_columns(values).items():
         q[..., column] = value
