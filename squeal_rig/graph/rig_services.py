@@ -20,7 +20,7 @@ class Operations(Protocol):
         """Bring the pad to rest."""
 
     def impact(self) -> str:
-        """Hit the pad."""
+        """An impact on the pad."""
 
     def zero(self) -> str:
         """Tare the force channels."""

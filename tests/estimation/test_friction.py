@@ -17,7 +17,7 @@ DAMPED = RigParameters().replace(damping_x=20.0, damping_y=20.0)
 
 
 def blocks_of(p: RigParameters, count: int, impact: bool = False) -> list:
-    # A light hit: a hard one finds other attractors at this operating point.
+    # A light impact: a hard one finds other attractors at this operating point.
     rig = Acquisition(VirtualRig(), p, RigSettings(impact_impulse=1e-3))
     rig.start(0)
     if impact:
