@@ -15,8 +15,7 @@ from squeal_rig.graph.conversions import ERROR, OK, WARN
 from squeal_rig.graph.health import Health, HealthPublisher
 from squeal_rig.graph.lifetime import STEADY, Lifetime, run_node
 from squeal_rig.graph.parameters import NODE_OPTIONS, DeclaredParameters, overrides
-from squeal_rig.graph.rig_outputs import RigOutputs
-from squeal_rig.graph.rig_services import offer_services
+from squeal_rig.graph.rig_interface import RigOutputs, offer_services
 from squeal_rig.instruments.acquisition import Acquisition, change_refusal
 from squeal_rig.instruments.description import RigDescription
 from squeal_rig.instruments.driver import driver_class
@@ -50,7 +49,7 @@ class RigNode(LifecycleNode):
         self._told_overruns = 0
         self._warnings: tuple[str, ...] = ()
         self._outputs = RigOutputs(self, self._driver.publishes_truth, self._settings.real_time_factor != 1.0)
-        offer_services(self, self)
+        offer_services(self, {"reset": self.reset, "impact": self.impact, "zero": self.zero}, self.pause)
         HealthPublisher(self, self._health)
         if self._settings.autostart:
             for transition in (self.trigger_configure, self.trigger_activate):
@@ -79,10 +78,7 @@ class RigNode(LifecycleNode):
         self.close()
         return TransitionCallbackReturn.SUCCESS
 
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Let go of the driver."""
-        self.close()
-        return TransitionCallbackReturn.SUCCESS
+    on_shutdown = on_cleanup
 
     def close(self) -> None:
         """Stop sampling and let go of the driver."""
