@@ -82,5 +82,8 @@ setup(
         # colcon still calls setup.py, with options that setuptools 80 has dropped.
         "colcon": ["colcon-common-extensions", "colcon-core", "colcon-ros", "setuptools<80"],
     },
-    entry_points={"console_scripts": ["squeal-rig = squeal_rig.cli:main"]},
+    entry_points={
+        "console_scripts": ["squeal-rig = squeal_rig.cli:main"],
+        "squeal_rig.drivers": ["virtual = squeal_rig.instruments.virtual:VirtualRig"],
+    },
 )

@@ -116,7 +116,7 @@ class Listener:
             raise TimeoutError(f"{what} did not come within {_PATIENCE:g} s")
 
     def squeal(self) -> None:
-        """Take the rig to 300 N and 6e7 N/m, hit the pad, and wait until it vibrates."""
+        """Take the rig to 300 N and 6e7 N/m, give the pad an impact, and wait until it vibrates."""
         values = {"preload": 300.0, "k1": 6e7, "k2": 6e7}
         wanted = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
         self._answer(self._set, SetParametersAtomically.Request(parameters=wanted))

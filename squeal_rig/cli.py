@@ -19,7 +19,7 @@ app = typer.Typer(
     rich_markup_mode=None,  # units stand in brackets, which are no markup
     help="A virtual test rig for brake squeal: run it, record it, analyse it.",
 )
-console = Console()
+console = Console(markup=False, highlight=False)  # what is told comes from files and messages
 
 BagArgument = Annotated[Path, typer.Argument(help="A bag: its folder or its .mcap file.", metavar="BAG")]
 NO_ROS = "ROS 2 is not installed here: pip install 'squeal_rig[jazzy]', or source a ROS 2 Jazzy installation"
@@ -156,7 +156,7 @@ def verify(bag: BagArgument) -> None:
     from squeal_rig.report.bag_reports import verdict_text
 
     text, sound = verdict_text(bag)
-    console.print(text, markup=False, highlight=False)
+    console.print(text)
     raise typer.Exit(0 if sound else 1)
 
 
@@ -169,7 +169,7 @@ def recover(
     from squeal_rig.recording.recover import recover as recover_bag
 
     report = recover_bag(file, out)
-    console.print("\n".join(report.sentences()), markup=False, highlight=False)
+    console.print("\n".join(report.sentences()))
     raise typer.Exit(0 if report.complete else 1)
 
 
@@ -211,9 +211,9 @@ def export(
     from squeal_rig.samples.export import export_bag
 
     for file in export_bag(bag, to, out, topic or (), column or ()):
-        console.print(f"{file.path}: {file.topic}, {file.rows} rows, {file.size / 1e6:.1f} MB", highlight=False)
+        console.print(f"{file.path}: {file.topic}, {file.rows} rows, {file.size / 1e6:.1f} MB")
         if file.note:
-            console.print(f"  {file.note}", markup=False, highlight=False)
+            console.print(f"  {file.note}")
 
 
 @bag_app.command()
@@ -221,7 +221,7 @@ def estimate(bag: BagArgument, out: OutArgument) -> None:
     """Compute friction and stability again from the log, with today's code, and compare with what was recorded."""
     from squeal_rig.report.bag_reports import estimate_text
 
-    console.print(estimate_text(bag, out), markup=False, highlight=False)
+    console.print(estimate_text(bag, out))
 
 
 def main() -> int:

@@ -8,11 +8,12 @@ from typing import Any
 
 from squeal_rig.configuration.declared import Declared, declarations, unknown_name
 from squeal_rig.configuration.files import load_yaml
-from squeal_rig.errors import ConfigurationError, ParameterError
+from squeal_rig.errors import ConfigurationError, DriverError, ParameterError
 from squeal_rig.estimation.calibration.problem import load_calibration
 from squeal_rig.estimation.calibration.targets import load_targets, looks_like_targets
 from squeal_rig.estimation.settings import FrictionSettings, SquealSettings
 from squeal_rig.experiments.plan import load_plan
+from squeal_rig.instruments.driver import driver_class
 from squeal_rig.instruments.settings import PresetChoice, RigSettings
 from squeal_rig.model.core.law import friction_refusal
 from squeal_rig.model.parameters import RigParameters
@@ -35,7 +36,7 @@ def check_file(path: Path | str) -> str:
     """Check one file; returns in a few words what it is.
 
     Raises:
-        ConfigurationError, ParameterError: what is wrong with it, in one sentence.
+        ConfigurationError, ParameterError, DriverError: what is wrong with it, in one sentence.
     """
     content = load_yaml(path)
     if not isinstance(content, dict):
@@ -68,7 +69,7 @@ def _check_node(path: Path | str, key: str, body: object) -> str:
     values = {k: v for k, v in (body[_ROS_KEY] or {}).items() if k not in _ROS_NAMES}
     try:
         _check_values(path, NODE_PARAMETERS[name], values)
-    except (ParameterError, ConfigurationError) as error:
+    except (ParameterError, ConfigurationError, DriverError) as error:
         raise type(error)(f"{where}: {error}") from None
     return name
 
@@ -82,6 +83,8 @@ def _check_values(path: Path | str, kinds: tuple[type[Declared], ...], values: M
         own = {name: value for name, value in values.items() if known[name] is kind}
         base = RigParameters.preset(str(values.get("preset", "yavuz_sen_2023"))) if kind is RigParameters else None
         checked = kind.from_mapping(own, base)
+        if isinstance(checked, RigSettings):
+            driver_class(checked.driver)
         if isinstance(checked, RigParameters):
             _refuse_friction(path, checked)
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,22 +14,11 @@ from numpy.typing import NDArray
 from squeal_rig.estimation.settings import FrictionSettings
 from squeal_rig.instruments.channels import FRICTION_WINDOW_RECORD
 from squeal_rig.instruments.description import RigDescription
+from squeal_rig.instruments.driver import Samples
+from squeal_rig.instruments.means import contact_forces
 
-Samples = NDArray[np.void]
 Values = NDArray[np.float64]
 _SEQ_MODULUS = 2**32
-
-
-def friction_terms(daq: Samples, rig: RigDescription) -> tuple[Values, Values]:
-    """Numerator F_t = torque/R and denominator of Eq. (2.1) [N], each (n,).
-
-    With sin theta of each arm by itself; the preload is the one in force, from its channel. The denominator equals N
-    only where m y'' + c_y y' = 0: it holds in steady sliding and is badly biased in squeal.
-    """
-    sine_1, sine_2 = math.sin(rig.parameters.arm_angle_1), math.sin(rig.parameters.arm_angle_2)
-    tangential = daq["motor_torque"] / rig.drum_radius
-    normal = daq["arm_left"] * sine_1 + daq["arm_right"] * sine_2 + daq["preload"] * (sine_1 + sine_2)
-    return tangential, normal
 
 
 def sample_friction(tangential: Values, normal: Values, minimum_normal_load: float) -> tuple[Values, NDArray[np.bool_]]:
@@ -90,7 +78,7 @@ class FrictionEstimator:
 
     def add_samples(self, stamp: int, daq: Samples) -> tuple[Values, NDArray[np.bool_], list[FrictionWindow]]:
         """Take a block of DAQ samples; returns mu (n,) and valid (n,) of Eq. (2.1), and the windows now complete."""
-        tangential, normal = friction_terms(daq, self.rig)
+        tangential, normal = contact_forces(daq, self.rig.parameters, self.rig.drum_radius)
         mu, valid = sample_friction(tangential, normal, self._settings.minimum_normal_load)
         start = self._unwrapped(int(daq["seq"][0]), self._daq_end)
         if self._first is not None and start < self._daq_end:
@@ -178,16 +166,3 @@ class FrictionEstimator:
         if self._first is None and near == 0:
             return seq
         return near + (seq - near + _SEQ_MODULUS // 2) % _SEQ_MODULUS - _SEQ_MODULUS // 2
-
-
-def offline_windows(
-    blocks: list[tuple[int, Samples, Samples | None]], rig: RigDescription, settings: FrictionSettings
-) -> list[dict[str, Any]]:
-    """Windows of recorded blocks (stamp [ns], daq, truth or None), the same numbers as the live node's."""
-    estimator = FrictionEstimator(rig, settings)
-    windows: list[FrictionWindow] = []
-    for stamp, daq, truth in blocks:
-        windows += estimator.add_samples(stamp, daq)[2]
-        if truth is not None:
-            windows += estimator.add_truth(truth)
-    return [window.values for window in windows]

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from squeal_rig.errors import ParameterError
 from squeal_rig.estimation.settings import SquealSettings
 from squeal_rig.estimation.spectra import amplitude_spectrum, band_rms, level_db, peak_frequency
-
-Samples = NDArray[np.void]
+from squeal_rig.instruments.driver import Samples
 
 
 @dataclass(frozen=True)

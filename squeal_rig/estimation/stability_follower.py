@@ -1,7 +1,7 @@
 """Complex eigenvalue analysis of a rig as it runs: of the set point, of what is in force, with the estimated mu.
 
-The node and offline estimation share it. Each status tells what it was computed from, so that the same numbers can be
-computed again from a log, whatever the order in which messages happened to arrive.
+The node and offline estimation share it and its messages. Each status tells what it was computed from, so that the same
+numbers can be computed again from a log, whatever the order in which messages happened to arrive.
 """
 
 from __future__ import annotations
@@ -10,6 +10,10 @@ import math
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from squeal_rig.configuration.declared import checked, declarations
 from squeal_rig.errors import ModelError
@@ -17,34 +21,20 @@ from squeal_rig.instruments.description import RigDescription
 from squeal_rig.model.core.law import friction_coefficient, with_constant_friction
 from squeal_rig.model.linear.eigen import stability_report
 from squeal_rig.model.parameters import RigParameters
-from squeal_rig.recording.cdr import text_of
+from squeal_rig.recording.cdr import diagnostics_message, multi_array_message, text_of
 
+SUMMARY, EIGENVALUES = "stability/summary", "stability/eigenvalues"
 #: While the operating point slews, what is in force is analysed at most this often [s].
 IN_FORCE_PERIOD = 0.05
 #: Keys of the statuses' values that tell what they were computed from.
 DESCRIPTION_KEY, SAMPLE_KEY, WINDOW_KEY = "description crc32", "sample", "window end [s]"
-EIGENVALUE_LABELS = ("eigenvalue [rad/s]", "re, im")
-SUMMARY_FRAME = "rig"
+_EIGENVALUE_LABELS = ("eigenvalue [rad/s]", "re, im")
+_FRAME = "rig"
 _BOUNDS = declarations(RigParameters)
 _OK, _WARN, _ERROR = 0, 1, 2  # levels of diagnostic_msgs/DiagnosticStatus
 
-
-@dataclass(frozen=True)
-class StabilityStatus:
-    """One status of a summary: its level as in DiagnosticStatus, name, message and values as texts."""
-
-    level: int
-    name: str
-    message: str
-    values: Mapping[str, str]
-
-
-@dataclass(frozen=True)
-class StabilitySummary:
-    """Statuses, and the eigenvalues of the set point as rows (re, im) [rad/s]; None where there is no equilibrium."""
-
-    statuses: tuple[StabilityStatus, ...]
-    eigenvalues: list[tuple[float, float]] | None
+_Status = tuple[int, str, str, Mapping[str, str]]  # level, name, message, values
+Message = tuple[str, bytes]  # relative topic, serialised
 
 
 @dataclass(frozen=True)
@@ -63,6 +53,12 @@ class InForce:
         checked(_BOUNDS["preload"], self.preload)
         checked(_BOUNDS["belt_speed"], self.belt_speed)
 
+    @classmethod
+    def after(cls, daq: NDArray[np.void]) -> InForce:
+        """What is in force after a block of `daq/samples`."""
+        last = daq[-1]
+        return cls(float(last["preload"]), float(last["belt_speed"]), int(last["seq"]))
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -79,11 +75,18 @@ class Estimate:
         if not math.isnan(self.mu):
             checked(_BOUNDS["mu0"], self.mu)
 
+    @classmethod
+    def of(cls, window: Any) -> Estimate:
+        """That of one point of `friction/windows`."""
+        return cls(float(window["mu_ratio_of_means"]), float(window["t_end"]))
 
-def summary_of(
-    rig: RigDescription, in_force: InForce | None = None, estimate: Estimate | None = None
-) -> StabilitySummary:
-    """Analyse the set point and, as far as they are known, what is in force and that with the estimated mu."""
+
+def summary_of(rig: RigDescription, in_force: InForce | None, estimate: Estimate | None, stamp: int) -> list[Message]:
+    """Analyse the set point and, as far as they are known, what is in force and that with the estimated mu.
+
+    Gives the summary of that moment [ns], after the set point's eigenvalues, which are missing where it has no
+    equilibrium.
+    """
     identity = {DESCRIPTION_KEY: description_crc(rig)}
     status, eigenvalues = _analysed("set point", rig.parameters, "set", identity)
     statuses = [status]
@@ -95,7 +98,8 @@ def summary_of(
             fixed = with_constant_friction(point, estimate.mu)
             cause = {WINDOW_KEY: text_of(estimate.window_end)}
             statuses.append(_analysed("in force, estimated mu", fixed, "estimated", cause)[0])
-    return StabilitySummary(tuple(statuses), eigenvalues)
+    messages = [(EIGENVALUES, multi_array_message(eigenvalues, *_EIGENVALUE_LABELS))] if eigenvalues else []
+    return [*messages, (SUMMARY, diagnostics_message(stamp, _FRAME, statuses))]
 
 
 def description_crc(rig: RigDescription) -> str:
@@ -134,16 +138,17 @@ class StabilityFollower:
         """Whether a summary is to be made now."""
         return self._rig is not None and self._due and now - self._last >= IN_FORCE_PERIOD
 
-    def summary(self, now: float) -> StabilitySummary:
-        """Make the summary of what is known; a description must have been taken."""
+    def summary(self, now: float, stamp: int) -> list[Message]:
+        """Make the summary of what is known, for a stamp [ns]; a description must have been taken."""
         assert self._rig is not None
         self._last, self._due = now, False
-        return summary_of(self._rig, self._in_force, self._estimate)
+        return summary_of(self._rig, self._in_force, self._estimate, stamp)
 
 
 def _analysed(
     name: str, p: RigParameters, source: str, cause: Mapping[str, str]
-) -> tuple[StabilityStatus, list[tuple[float, float]] | None]:
+) -> tuple[_Status, list[tuple[float, float]]]:
+    """Status and eigenvalues as rows (re, im) [rad/s]; none where there is no equilibrium."""
     point: dict[str, object] = {
         "preload [N]": p.preload,
         "belt speed [m/s]": p.belt_speed,
@@ -154,7 +159,7 @@ def _analysed(
     try:
         report = stability_report(p)
     except ModelError as error:
-        return StabilityStatus(_ERROR, f"stability: {name}", str(error), _texts(point)), None
+        return (_ERROR, f"stability: {name}", str(error), _texts(point)), []
     values: dict[str, object] = {
         "k [N/m]": report.pad_stiffness,
         "k_cr [N/m]": report.critical_pad_stiffness,
@@ -165,8 +170,8 @@ def _analysed(
         "squeal frequency [Hz]": report.squeal_frequency,
     }
     level, text = (_WARN, "unstable") if report.unstable else (_OK, "stable")
-    status = StabilityStatus(level, f"stability: {name}", text, _texts({**values, **point}))
-    return status, [(value.real, value.imag) for value in report.eigenvalues]
+    eigenvalues = [(value.real, value.imag) for value in report.eigenvalues]
+    return (level, f"stability: {name}", text, _texts({**values, **point})), eigenvalues
 
 
 def _texts(values: Mapping[str, object]) -> dict[str, str]:

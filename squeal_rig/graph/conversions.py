@@ -11,7 +11,6 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from squeal_rig.recording import cdr_from_samples
 from squeal_rig.recording.cdr import text_of
@@ -30,11 +29,6 @@ OK, WARN, ERROR, STALE = (
 def time_message(nanoseconds: int) -> Time:
     """A time in ns since the epoch as a message."""
     return Time(sec=nanoseconds // _NS, nanosec=nanoseconds % _NS)
-
-
-def nanoseconds(stamp: Time) -> int:
-    """A time message in ns since the epoch."""
-    return int(stamp.sec) * _NS + int(stamp.nanosec)
 
 
 def cloud(samples: np.ndarray, stamp: int) -> bytes:
@@ -57,17 +51,6 @@ def wrench(stamp: int, tangential: float, normal: float) -> WrenchStamped:
     message = WrenchStamped()
     message.header.stamp, message.header.frame_id = time_message(stamp), FRAME
     message.wrench.force.x, message.wrench.force.y = tangential, normal
-    return message
-
-
-def labelled_array(values: Sequence[Sequence[float]], rows: str, columns: str) -> Float64MultiArray:
-    """A table of numbers as a multi-array; the labels tell what rows and columns are."""
-    height, width = len(values), len(values[0])
-    message = Float64MultiArray(data=[float(number) for row in values for number in row])
-    message.layout.dim = [
-        MultiArrayDimension(label=rows, size=height, stride=height * width),
-        MultiArrayDimension(label=columns, size=width, stride=width),
-    ]
     return message
 
 

@@ -10,8 +10,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
 from squeal_rig.graph import qos
-from squeal_rig.graph.conversions import OK, STALE, WARN, diagnostics, status
-from squeal_rig.graph.lifetime import STEADY
+from squeal_rig.graph.conversions import ERROR, OK, STALE, WARN, diagnostics, status
+from squeal_rig.graph.lifetime import STEADY, GuardedExecutor, described
 
 #: (level, message, values) of a node's health.
 Health = tuple[bytes, str, Mapping[str, Any]]
@@ -28,7 +28,18 @@ class HealthPublisher:
 
     def publish(self) -> None:
         """Publish now."""
-        level, message, values = self._health()
+        try:
+            level, message, values = self._health()
+        except Exception as error:
+            level, message, values = ERROR, f"the health is not known: {described(error)}", {}
+        executor = self._node.executor
+        if isinstance(executor, GuardedExecutor):
+            values = {**values, "refused requests": executor.refused_requests, "errors": executor.errors}
+            failure, refusal = executor.untold()
+            if failure:
+                level, message = ERROR, failure
+            elif refusal and level == OK:
+                level, message = WARN, refusal
         name = self._node.get_fully_qualified_name().lstrip("/")
         stamp = self._node.get_clock().now().nanoseconds
         self._publisher.publish(diagnostics(stamp, status(level, name, message, values)))

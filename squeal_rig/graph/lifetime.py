@@ -1,17 +1,27 @@
-"""How every node starts, spins and ends: exit code 0 on SIGINT and SIGTERM, 2 on bad input, one sentence."""
+"""How every node starts, spins and ends: exit code 0 on SIGINT and SIGTERM, 2 on bad input, one sentence.
+
+Nothing from outside ends a node: rclpy lets an exception of a callback, and its own on messages, requests and clocks
+that it cannot take, through to whoever spins.
+"""
 
 from __future__ import annotations
 
 import signal
 import sys
+import traceback
 from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
 from types import FrameType
+from typing import Any
 
 import rclpy
+from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.exceptions import InvalidNamespaceException, InvalidNodeNameException
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -41,6 +51,79 @@ class Lifetime:
         self.stopping = True
 
 
+class GuardedExecutor(SingleThreadedExecutor):
+    """Spins one node on, whatever its callbacks or rclpy raise: logged in a sentence, counted, told in its health.
+
+    `errors` are callbacks that failed, `refused_requests` requests that did: those are answered with a refusal.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.errors = self.refused_requests = 0
+        self._untold = self._untold_request = ""
+        self._node: Node | None = None
+
+    def add_node(self, node: Node) -> bool:
+        """Take the node, whose services are all there by now."""
+        self._node = node
+        for service in node.services:
+            service.callback = partial(self._answered, service.callback)
+        return bool(super().add_node(node))
+
+    def spin_once(self, timeout_sec: float | None = None) -> None:
+        """Run one callback, or wait that long for one [s]."""
+        try:
+            super().spin_once(timeout_sec)
+        except ExternalShutdownException:
+            pass
+        except Exception as error:
+            self._note(error)
+
+    def untold(self) -> tuple[str, str]:
+        """Sentences on the last error and the last refused request since this was last asked; empty where none."""
+        told = self._untold, self._untold_request
+        self._untold = self._untold_request = ""
+        return told
+
+    def _note(self, error: Exception) -> None:
+        self.errors += 1
+        self._untold = f"a callback failed: {described(error)}"
+        if self._node is not None:
+            self._node.get_logger().error(self._untold, throttle_duration_sec=1.0)
+
+    def _answered(self, callback: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
+        try:
+            return callback(request, response)
+        except Exception as error:
+            self.refused_requests += 1
+            self._untold_request = f"a request was refused: {described(error)}"
+            if self._node is not None:
+                self._node.get_logger().warning(self._untold_request, throttle_duration_sec=1.0)
+            return _refusal(request, type(response)(), described(error))
+
+
+def _refusal(request: Any, response: Any, sentence: str) -> Any:
+    """The answer that says no, in the fields that its service has for it."""
+    refused = SetParametersResult(successful=False, reason=sentence)
+    if isinstance(response, SetParameters.Response):
+        response.results = [refused for _ in request.parameters]
+    elif isinstance(response, SetParametersAtomically.Response):
+        response.result = refused
+    elif hasattr(response, "message"):
+        response.message = sentence
+    return response
+
+
+def described(error: Exception) -> str:
+    """An error in one sentence: our own as they are, others with their kind and place."""
+    text = " ".join(str(error).split(", at ")[0].split())  # rcl adds the place in its source
+    if isinstance(error, SquealRigError):
+        return text
+    frames = traceback.extract_tb(error.__traceback__)
+    place = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
+    return f"{type(error).__name__}: {text}{place}"
+
+
 def run_node(factory: Callable[[Lifetime], Node], args: Sequence[str] | None = None) -> int:
     """Run one node to its end and return the process's exit code.
 
@@ -53,33 +136,31 @@ def run_node(factory: Callable[[Lifetime], Node], args: Sequence[str] | None = N
         rclpy.init(args=list(args) if args is not None else None, signal_handler_options=SignalHandlerOptions.NO)
         node = factory(lifetime)
     except (SquealRigError, InvalidNodeNameException, InvalidNamespaceException) as error:
-        return _refused(str(error))
+        return _refused(str(error), 2)
     except rclpy_implementation.UnknownROSArgsError as error:
-        return _refused(f"unknown argument after --ros-args: {error}")
+        return _refused(f"unknown argument after --ros-args: {error}", 2)
     except rclpy_implementation.RCLError as error:
-        return _refused(_first_sentence(str(error)))
+        return _refused(" ".join(str(error).split(", at ")[0].split()), 2)
+    except Exception as error:
+        return _refused(f"the node could not start: {described(error)}", 1)
+    executor = GuardedExecutor()
+    executor.add_node(node)
     try:
-        executor = SingleThreadedExecutor()
-        executor.add_node(node)
         while rclpy.ok() and not lifetime.stopping:
-            executor.spin_once(timeout_sec=_SPIN_TIMEOUT)
-    except SquealRigError as error:
-        lifetime.exit_code = _refused(str(error))
+            executor.spin_once(_SPIN_TIMEOUT)
     finally:
         close = getattr(node, "close", None)
-        if close is not None:
-            close()
+        try:
+            if close is not None:
+                close()
+        except Exception as error:
+            lifetime.exit_code = _refused(f"the node did not end well: {described(error)}", 1)
         node.destroy_node()
         rclpy.try_shutdown()
     return lifetime.exit_code
 
 
-def _refused(sentence: str) -> int:
+def _refused(sentence: str, exit_code: int) -> int:
     sys.stderr.write(f"{sentence}\n")
     rclpy.try_shutdown()
-    return 2
-
-
-def _first_sentence(text: str) -> str:
-    """rcl's message without the place in its source."""
-    return " ".join(text.split(", at ")[0].split())
+    return exit_code

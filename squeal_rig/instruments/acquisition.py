@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,16 +39,11 @@ class Acquisition:
         self.set_point = parameters
         self.in_force = parameters
         self.samples = 0
-        self.tare: dict[str, float] = {}
+        self.tare: Mapping[str, float] = {}
         self._since_start = 0
         self._start = 0
         self._last: Samples | None = None
         driver.open(parameters, settings)
-
-    @property
-    def publishes_truth(self) -> bool:
-        """Whether blocks carry the truth."""
-        return self._driver.publishes_truth
 
     def start(self, stamp: int) -> None:
         """Set the time of the next sample [ns]: at activation, reset, resume and after an overrun."""
@@ -81,19 +77,19 @@ class Acquisition:
         self.tare = {}
 
     def impact(self) -> tuple[float, float]:
-        """Hit the pad at the next block boundary; returns the impulse [N s] in x and y."""
+        """An impact at the next block boundary; returns its impulse [N s] in x and y."""
         size, direction = self.settings.impact_impulse, self.settings.impact_direction
         impulse = size * math.cos(direction), size * math.sin(direction)
         self._driver.impact(*impulse)
         return impulse
 
-    def zero(self) -> dict[str, float]:
-        """Tare: take the force channels' means over the last block as their new zero; returns them, in their units."""
+    def take_tare(self) -> Mapping[str, float]:
+        """Take the force channels' means over the last block as the tare; returns it, in their units."""
         if self._last is None:
-            raise DriverError("no block was read yet: there is nothing to take as zero")
+            raise DriverError("no block was read yet: there is nothing to take as tare")
         last, old = self._last, self.tare
         self.tare = {channel: float(last[channel].mean()) + old.get(channel, 0.0) for channel in FORCE_CHANNELS}
-        return dict(self.tare)
+        return self.tare
 
     def close(self) -> None:
         """Let go of the driver."""

@@ -22,6 +22,7 @@ class Channel:
 
 
 _SEQ = Channel("seq", "", "number of the sample, counted over the whole run", "<u4")
+_LATEST = 2.0**31  # a stamp's seconds are an int32
 _TIME = Channel("t", "s", "time after the block's stamp")
 
 DAQ_CHANNELS = (
@@ -90,7 +91,8 @@ def block_from_cdr(data: bytes, channels: tuple[Channel, ...]) -> SampleBlock:
     """Block out of a serialised PointCloud2, whoever published it; it may have more columns than these channels.
 
     Raises:
-        RecordingError: no such message, no sample in it, a channel that is missing or not one number, times not finite.
+        RecordingError: no such message, no sample in it, a channel that is missing or not one number, times that no
+            stamp can hold.
     """
     block = samples_from_cdr(data)
     names = block.samples.dtype.names or ()
@@ -99,8 +101,13 @@ def block_from_cdr(data: bytes, channels: tuple[Channel, ...]) -> SampleBlock:
             raise RecordingError(f"no channel {channel.name} of one number a sample, only {', '.join(names) or 'none'}")
     if len(block.samples) == 0:
         raise RecordingError("a block without a sample")
-    if "t" in names and not np.all(np.isfinite(block.samples["t"])):
-        raise RecordingError("a block whose times t are not finite")
+    if "t" in names:
+        t = block.samples["t"]
+        if not np.all(np.isfinite(t)):
+            raise RecordingError("a block whose times t are not finite")
+        first, last = block.stamp_ns * 1e-9 + float(np.min(t)), block.stamp_ns * 1e-9 + float(np.max(t))
+        if not (first >= 0.0 and last < _LATEST):
+            raise RecordingError(f"a block from {first:g} s to {last:g} s: a stamp lies in 0 to {_LATEST:g} s")
     return block
 
 

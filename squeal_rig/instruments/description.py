@@ -7,13 +7,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from squeal_rig.configuration.declared import checked, declarations
+from squeal_rig.configuration.declared import Declaration, checked, declarations
 from squeal_rig.configuration.files import parse_yaml, yaml_mapping
 from squeal_rig.errors import ConfigurationError, ParameterError
-from squeal_rig.instruments.settings import RigSettings
+from squeal_rig.instruments.settings import PresetChoice, RigSettings
 from squeal_rig.model.parameters import RigParameters
 
 _TARE = "tare_"
+_TRUTH = Declaration(True, "whether truth/samples are published", name="publishes_truth")
 
 
 @dataclass(frozen=True)
@@ -55,15 +56,19 @@ class RigDescription:
             ConfigurationError: a key is missing, unknown or has a value of the wrong kind.
         """
         content = parse_yaml(text, "rig/description")
-        if not isinstance(content, dict):
+        if not isinstance(content, dict) or not all(isinstance(key, str) for key in content):
             raise ConfigurationError("rig/description: expected a mapping of names to values")
         values: dict[str, Any] = dict(content)
         try:
             parameters = RigParameters.from_mapping({name: values.pop(name) for name in declarations(RigParameters)})
-            tare = {key[len(_TARE) :]: float(values.pop(key)) for key in list(values) if key.startswith(_TARE)}
-            settings = declarations(RigSettings)
-            for name in settings.keys() & values.keys():
-                values[name] = checked(settings[name], values[name])
+            tare = {
+                key[len(_TARE) :]: checked(Declaration(0.0, "tare of a channel", name=key), values.pop(key))
+                for key in list(values)
+                if key.startswith(_TARE)
+            }
+            known = {**declarations(RigSettings), **declarations(PresetChoice), _TRUTH.name: _TRUTH}
+            for name in known.keys() & values.keys():
+                values[name] = checked(known[name], values[name])
             return cls(parameters=parameters, tare=tare, **values)
         except (KeyError, TypeError, ValueError, ParameterError) as error:
             raise ConfigurationError(f"rig/description is not one of this version: {error}") from None

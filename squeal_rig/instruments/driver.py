@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib.metadata import entry_points
 from typing import Protocol
 
 import numpy as np
@@ -13,6 +14,9 @@ from squeal_rig.instruments.settings import RigSettings
 from squeal_rig.model.parameters import RigParameters
 
 Samples = NDArray[np.void]
+
+#: Group of entry points: a package that brings a driver names its class there.
+DRIVERS = "squeal_rig.drivers"
 
 
 @dataclass(frozen=True)
@@ -43,18 +47,29 @@ class Driver(Protocol):
         """Bring the pad to rest at the equilibrium of the parameters in force."""
 
     def impact(self, impulse_x: float, impulse_y: float) -> None:
-        """Hit the pad with an impulse [N s] at the next block boundary."""
+        """Give the pad an impulse [N s] at the next block boundary."""
 
     def read(self, in_force: RigParameters) -> Reading:
         """The next block, with these parameters in force over all of it. `seq` and `t` are the caller's to fill."""
 
 
-def make_driver(name: str) -> Driver:
-    """The driver of that name."""
-    # Imported here: a rig on hardware need not load the compiled model, nor a virtual one the hardware's library.
-    if name == "virtual":
-        from squeal_rig.instruments.virtual import VirtualRig
+def driver_class(name: str) -> type[Driver]:
+    """The class that an installed package offers under that name; only its own module is loaded.
 
-        driver: Driver = VirtualRig()
-        return driver
-    raise DriverError(f"driver = {name!r} is not known")
+    Raises:
+        DriverError: nobody or more than one offers it, or it cannot be loaded.
+    """
+    offered = entry_points(group=DRIVERS)
+    chosen = {entry.value: entry for entry in offered if entry.name == name}
+    if not chosen:
+        raise DriverError(f"driver = {name!r} is not known: there are {', '.join(sorted(offered.names)) or 'none'}")
+    if len(chosen) > 1:
+        raise DriverError(f"driver = {name!r} is offered more than once: by {' and '.join(sorted(chosen))}")
+    (entry,) = chosen.values()
+    try:
+        loaded: type[Driver] = entry.load()
+    except (Exception, SystemExit) as error:  # whatever a foreign module does when it is imported
+        raise DriverError(
+            f"driver = {name!r} cannot be loaded from {entry.value}: {type(error).__name__}: {error}"
+        ) from None
+    return loaded

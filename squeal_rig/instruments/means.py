@@ -1,12 +1,30 @@
-"""Means over a block, for displays: true values where there are any, else what the instruments tell."""
+"""Contact forces as the instruments tell them, Eq. (2.1), and means over a block for displays."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from squeal_rig.instruments.acquisition import Block
+from squeal_rig.instruments.driver import Samples
 from squeal_rig.model.parameters import RigParameters
+
+Values = NDArray[np.float64]
+
+
+def contact_forces(daq: Samples, p: RigParameters, drum_radius: float) -> tuple[Values, Values]:
+    """Numerator F_t = torque/R and denominator of Eq. (2.1) [N], each (n,); the drum's radius is in m.
+
+    With sin theta of each arm by itself; the preload is the one in force, from its channel. The denominator equals N
+    only where m y'' + c_y y' = 0: it holds in steady sliding and is badly biased in squeal.
+    """
+    sine_1, sine_2 = math.sin(p.arm_angle_1), math.sin(p.arm_angle_2)
+    tangential = daq["motor_torque"] / drum_radius
+    normal = daq["arm_left"] * sine_1 + daq["arm_right"] * sine_2 + daq["preload"] * (sine_1 + sine_2)
+    return tangential, normal
 
 
 @dataclass(frozen=True)
@@ -30,8 +48,5 @@ def block_means(block: Block, p: RigParameters, drum_radius: float) -> BlockMean
         )
     span = float(daq["t"][-1] - daq["t"][0])
     slope_x, slope_y = (float(daq[axis][-1] - daq[axis][0]) / span for axis in ("x", "y"))
-    sine_1, sine_2 = math.sin(p.arm_angle_1), math.sin(p.arm_angle_2)
-    normal = daq["arm_left"] * sine_1 + daq["arm_right"] * sine_2 + daq["preload"] * (sine_1 + sine_2)
-    return BlockMeans(
-        position, (slope_x, slope_y), float(daq["motor_torque"].mean()) / drum_radius, float(normal.mean())
-    )
+    tangential, normal = contact_forces(daq, p, drum_radius)
+    return BlockMeans(position, (slope_x, slope_y), float(tangential.mean()), float(normal.mean()))

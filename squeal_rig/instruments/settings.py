@@ -11,8 +11,6 @@ from squeal_rig.errors import ParameterError
 #: One block is published every 10 ms of sampled time.
 BLOCKS_PER_SECOND = 100
 
-DRIVERS = ("virtual",)
-
 
 @dataclass(frozen=True)
 class PresetChoice(Declared):
@@ -25,7 +23,7 @@ class PresetChoice(Declared):
 class RigSettings(Declared):
     """Settings of the node `rig`."""
 
-    driver: str = quantity("virtual", "what stands behind the rig", options=DRIVERS, read_only=True)
+    driver: str = quantity("virtual", "what stands behind the rig, as an installed package offers it", read_only=True)
     autostart: bool = quantity(True, "configure and activate the rig at start", read_only=True)
     sample_rate: int = quantity(
         51200, "samples per second, a multiple of 100", unit="Hz", lower=1000, upper=2_000_000, read_only=True

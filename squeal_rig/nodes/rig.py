@@ -15,11 +15,10 @@ from squeal_rig.graph.conversions import ERROR, OK, WARN
 from squeal_rig.graph.health import Health, HealthPublisher
 from squeal_rig.graph.lifetime import STEADY, Lifetime, run_node
 from squeal_rig.graph.parameters import NODE_OPTIONS, DeclaredParameters, overrides
-from squeal_rig.graph.rig_outputs import RigOutputs
-from squeal_rig.graph.rig_services import offer_services
+from squeal_rig.graph.rig_interface import RigOutputs, offer_services
 from squeal_rig.instruments.acquisition import Acquisition, change_refusal
 from squeal_rig.instruments.description import RigDescription
-from squeal_rig.instruments.driver import make_driver
+from squeal_rig.instruments.driver import driver_class
 from squeal_rig.instruments.pacing import LATE, Pacer
 from squeal_rig.instruments.settings import PresetChoice, RigSettings
 from squeal_rig.model.core.law import friction_refusal
@@ -40,7 +39,7 @@ class RigNode(LifecycleNode):
             raise ParameterError(f"rig: {sentence}")
         self._settings: RigSettings = self._declared.group(RigSettings)
         self._driver_name = fixed_driver or self._settings.driver
-        self._driver = make_driver(self._driver_name)
+        self._driver = driver_class(self._driver_name)()
         self._acquisition: Acquisition | None = None
         self._samples = 0
         self._pacer = Pacer(self._settings.real_time_factor)
@@ -50,7 +49,7 @@ class RigNode(LifecycleNode):
         self._told_overruns = 0
         self._warnings: tuple[str, ...] = ()
         self._outputs = RigOutputs(self, self._driver.publishes_truth, self._settings.real_time_factor != 1.0)
-        offer_services(self, self)
+        offer_services(self, {"reset": self.reset, "impact": self.impact, "zero": self.zero}, self.pause)
         HealthPublisher(self, self._health)
         if self._settings.autostart:
             for transition in (self.trigger_configure, self.trigger_activate):
@@ -79,10 +78,7 @@ class RigNode(LifecycleNode):
         self.close()
         return TransitionCallbackReturn.SUCCESS
 
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Let go of the driver."""
-        self.close()
-        return TransitionCallbackReturn.SUCCESS
+    on_shutdown = on_cleanup
 
     def close(self) -> None:
         """Stop sampling and let go of the driver."""
@@ -186,12 +182,12 @@ class RigNode(LifecycleNode):
         return "the pad rests at the equilibrium of what is in force; tare forgotten"
 
     def impact(self) -> str:
-        """Hit the pad."""
-        return "hit the pad with ({:.4g}, {:.4g}) N s".format(*self._sampled().impact())
+        """An impact."""
+        return "impact of ({:.4g}, {:.4g}) N s".format(*self._sampled().impact())
 
     def zero(self) -> str:
-        """Tare the force channels."""
-        offsets = ", ".join(f"{channel} {value:.6g}" for channel, value in self._sampled().zero().items())
+        """Take the force channels' tare."""
+        offsets = ", ".join(f"{channel} {value:.6g}" for channel, value in self._sampled().take_tare().items())
         self._outputs.describe(self._description())
         return f"subtracted from now on, in N and N m: {offsets}; Eq. (2.1) needs forces tared on the unloaded rig"
 

@@ -12,9 +12,8 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64MultiArray
 
 from squeal_rig.errors import SquealRigError
-from squeal_rig.estimation.stability_follower import EIGENVALUE_LABELS, Estimate, InForce, StabilityFollower
+from squeal_rig.estimation.stability_follower import EIGENVALUES, SUMMARY, Estimate, InForce, StabilityFollower
 from squeal_rig.graph import qos
-from squeal_rig.graph.conversions import diagnostics, labelled_array, status
 from squeal_rig.graph.health import DataWatch, Health, HealthPublisher
 from squeal_rig.graph.lifetime import Lifetime, run_node
 from squeal_rig.graph.parameters import NODE_OPTIONS, DeclaredParameters
@@ -33,8 +32,10 @@ class StabilityNode(Node):
         self._analyses = 0
         self._rejected = 0
         self._watch = DataWatch("daq/samples")
-        self._eigenvalues = self.create_publisher(Float64MultiArray, "stability/eigenvalues", qos.LATCHED)
-        self._summary = self.create_publisher(DiagnosticArray, "stability/summary", qos.LATCHED)
+        self._outputs = {
+            name: self.create_publisher(kind, name, qos.LATCHED)
+            for name, kind in ((EIGENVALUES, Float64MultiArray), (SUMMARY, DiagnosticArray))
+        }
         RigFollower(self, self._on_rig, events=True)
         self.create_subscription(PointCloud2, "daq/samples", self._on_daq, qos.BLOCKS, raw=True)
         self.create_subscription(PointCloud2, "friction/windows", self._on_window, qos.EVENTS, raw=True)
@@ -47,18 +48,15 @@ class StabilityNode(Node):
     def _on_daq(self, data: bytes) -> None:
         self._watch.seen()
         try:
-            last = block_from_cdr(data, DAQ_CHANNELS).samples[-1]
-            in_force = InForce(float(last["preload"]), float(last["belt_speed"]), int(last["seq"]))
+            self._follower.take_block(InForce.after(block_from_cdr(data, DAQ_CHANNELS).samples))
         except SquealRigError as error:
             self._reject(error)
-            return
-        self._follower.take_block(in_force)
-        self._publish_if_due()
+        else:
+            self._publish_if_due()
 
     def _on_window(self, data: bytes) -> None:
         try:
-            window = block_from_cdr(data, FRICTION_WINDOW_CHANNELS).samples[0]
-            self._follower.take_estimate(Estimate(float(window["mu_ratio_of_means"]), float(window["t_end"])))
+            self._follower.take_estimate(Estimate.of(block_from_cdr(data, FRICTION_WINDOW_CHANNELS).samples[0]))
         except SquealRigError as error:
             self._reject(error)
 
@@ -67,16 +65,12 @@ class StabilityNode(Node):
         self.get_logger().warning(f"message refused: {error}", throttle_duration_sec=1.0)
 
     def _publish_if_due(self) -> None:
-        """Analyse and publish; the eigenvalues are those of the set point."""
+        """Analyse and publish where something changed."""
         now = time.monotonic()
-        if not self._follower.is_due(now):
-            return
-        self._analyses += 1
-        summary = self._follower.summary(now)
-        if summary.eigenvalues is not None:
-            self._eigenvalues.publish(labelled_array(summary.eigenvalues, *EIGENVALUE_LABELS))
-        statuses = [status(bytes([s.level]), s.name, s.message, s.values) for s in summary.statuses]
-        self._summary.publish(diagnostics(self.get_clock().now().nanoseconds, *statuses))
+        if self._follower.is_due(now):
+            self._analyses += 1
+            for name, data in self._follower.summary(now, self.get_clock().now().nanoseconds):
+                self._outputs[name].publish(data)
 
     def _health(self) -> Health:
         return self._watch.health({"analyses": self._analyses, "rejected messages": self._rejected})

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from squeal_rig.analysis.estimate import estimate_bag
-from squeal_rig.analysis.estimate_check import compare_estimates
+from squeal_rig.analysis.estimate import compare_estimates, estimate_bag
 from squeal_rig.recording import Bag
 from squeal_rig.recording.verify import verify
 

@@ -8,6 +8,7 @@ import time
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
+from rich.text import Text
 
 from squeal_rig.session.live import LiveState
 
@@ -37,7 +38,7 @@ class StateDisplay:
         """Say what the plan is at."""
         self._note = text
         if self._live is None:
-            self._console.print(f"-- {text}")
+            self._console.print(_plain(f"-- {text}"))
 
     def refresh(self) -> None:
         """Show the state as it is now."""
@@ -45,14 +46,15 @@ class StateDisplay:
             self._live.update(self._table(), refresh=True)
         elif time.monotonic() - self._last_line >= _LINE_PERIOD:
             self._last_line = time.monotonic()
-            self._console.print(", ".join(f"{name} {value}" for name, value in self._rows()), soft_wrap=True)
+            line = ", ".join(f"{name} {value}" for name, value in self._rows())
+            self._console.print(_plain(line), soft_wrap=True)
 
     def _table(self) -> Table:
-        table = Table(title=self._note or "squeal_rig", title_justify="left", show_header=False)
+        table = Table(title=_plain(self._note or "squeal_rig"), title_justify="left", show_header=False)
         table.add_column(style="bold")
         table.add_column(min_width=48)
         for name, value in self._rows():
-            table.add_row(name, value)
+            table.add_row(name, _plain(value))
         return table
 
     def _rows(self) -> list[tuple[str, str]]:
@@ -61,7 +63,7 @@ class StateDisplay:
         if s.squealing:
             squeal = f"SQUEAL {squeal} at {s.frequency:.0f} Hz"
         stable = {None: "-", True: "unstable", False: "stable"}[s.unstable]
-        recorded = "-" if s.recorded_bytes is None else f"{s.recorded_bytes / 1e6:.1f} MB"
+        recorded = f"{_number(s.recorded_bytes / 1e6, '.1f')} MB"
         rows = [
             ("time", f"{_number(s.sampled_time, '.1f')} s"),
             ("in force", f"F = {_number(s.preload, '.0f')} N, V = {_number(s.belt_speed, '.2f')} m/s"),
@@ -80,6 +82,11 @@ class StateDisplay:
         ]
         troubles = [f"{name}: {text}" for name, (level, text) in sorted(s.health.items()) if level > 0]
         return [*rows, ("health", "; ".join(troubles))] if troubles else rows
+
+
+def _plain(text: str) -> Text:
+    """A text that others wrote: no markup, no control characters."""
+    return Text("".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in text))
 
 
 def _number(value: float, form: str) -> str:

@@ -23,7 +23,7 @@ def run_demo(bag: Path, console: Console) -> int:
     watch = SignalWatch()
     config = config_directory() / "rig.yaml"
     plan = load_plan(config_directory() / "plans" / "demo.yaml")
-    console.print(f"[bold]{plan.title}[/bold]: {plan.duration:g} s of a virtual rig, recorded to {bag}")
+    console.print(f"{plan.title}: {plan.duration:g} s of a virtual rig, recorded to {bag}")
     result = run_session(SessionOptions(config, bag, plan), console, watch)
     if result.interrupted:
         console.print("ended by the operator; the bag holds what was recorded until then")

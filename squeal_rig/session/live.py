@@ -13,7 +13,6 @@ from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.srv import SetParametersAtomically
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
@@ -23,6 +22,7 @@ from std_srvs.srv import Trigger
 from squeal_rig.errors import ExperimentError, RecordingError
 from squeal_rig.graph import qos
 from squeal_rig.graph.conversions import status_number, status_values
+from squeal_rig.graph.lifetime import GuardedExecutor
 from squeal_rig.instruments.channels import DAQ_CHANNELS, FRICTION_WINDOW_CHANNELS, block_from_cdr
 
 # Discovery of a service took up to 2.3 s where it was measured.
@@ -48,7 +48,7 @@ class LiveState:
     squealing: bool | None = None
     level: float = math.nan
     frequency: float = math.nan
-    recorded_bytes: int | None = None
+    recorded_bytes: float = math.nan
     health: dict[str, tuple[int, str]] = field(default_factory=dict)
 
 
@@ -62,7 +62,7 @@ class LiveGraph:
     def __init__(self, watched: Callable[[], None]) -> None:
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self._node = Node("console")
-        self._executor = SingleThreadedExecutor()
+        self._executor = GuardedExecutor()
         self._executor.add_node(self._node)
         self._watched = watched
         self._samples = 0
@@ -92,7 +92,7 @@ class LiveGraph:
         """Take what comes for that long [s]."""
         deadline = time.monotonic() + seconds
         while (left := deadline - time.monotonic()) > 0.0:
-            self._executor.spin_once(timeout_sec=left)
+            self._executor.spin_once(left)
         self._watched()
         self.on_spin()
 
@@ -177,6 +177,8 @@ class LiveGraph:
         self.state.mu_ratio_of_means = float(window["mu_ratio_of_means"])
 
     def _on_stability(self, message: DiagnosticArray) -> None:
+        if not message.status:
+            return
         # The last but one of set point, in force, estimated: what is in force, once samples have come.
         status = message.status[min(1, len(message.status) - 1)]
         self.state.unstable = status.message == "unstable"
@@ -186,13 +188,13 @@ class LiveGraph:
         self.state.margin = status_number(status, "margin")
 
     def _on_squeal(self, message: DiagnosticArray) -> None:
-        status = message.status[0]
-        self.state.squealing = status_values(status)["detected"] == "true"
-        self.state.level = status_number(status, "level [dB re 1 um]")
-        self.state.frequency = status_number(status, "frequency [Hz]")
+        for status in message.status[:1]:
+            self.state.squealing = status_values(status).get("detected") == "true"
+            self.state.level = status_number(status, "level [dB re 1 um]")
+            self.state.frequency = status_number(status, "frequency [Hz]")
 
     def _on_health(self, message: DiagnosticArray) -> None:
         for status in message.status:
             self.state.health[status.name] = (int.from_bytes(status.level, "little"), status.message)
             if status.name.split("/")[-1] == "recorder":
-                self.state.recorded_bytes = int(status_values(status)["bytes"])
+                self.state.recorded_bytes = status_number(status, "bytes")

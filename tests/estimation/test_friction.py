@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from squeal_rig.estimation.friction import FrictionEstimator, sample_friction
+from squeal_rig.estimation.regression import FrictionRegression
 from squeal_rig.estimation.settings import FrictionSettings
 from squeal_rig.instruments.acquisition import Acquisition
 from squeal_rig.instruments.description import RigDescription
@@ -17,7 +18,7 @@ DAMPED = RigParameters().replace(damping_x=20.0, damping_y=20.0)
 
 
 def blocks_of(p: RigParameters, count: int, impact: bool = False) -> list:
-    # A light hit: a hard one finds other attractors at this operating point.
+    # A light impact: a hard one finds other attractors at this operating point.
     rig = Acquisition(VirtualRig(), p, RigSettings(impact_impulse=1e-3))
     rig.start(0)
     if impact:
@@ -139,3 +140,10 @@ def test_windows_go_on_where_seq_wraps():
     starts = [window.values["t_start"] for window in windows_of(p, blocks)]
     assert np.diff(starts) == pytest.approx(0.2)
     assert len(starts) == 4
+
+
+def test_operating_points_at_rest_do_not_determine_the_law_and_say_so():
+    regression = FrictionRegression()
+    for preload in (50.0, 100.0, 150.0, 200.0):
+        regression.add(0.0, preload, 0.3)
+    assert regression.fit() is None

@@ -10,7 +10,6 @@ from squeal_rig.errors import DriverError, ParameterError
 from squeal_rig.instruments.acquisition import SEQ_MODULUS, Acquisition, change_refusal, slewed
 from squeal_rig.instruments.channels import DAQ_RECORD, TRUTH_RECORD
 from squeal_rig.instruments.description import RigDescription
-from squeal_rig.instruments.driver import make_driver
 from squeal_rig.instruments.means import block_means
 from squeal_rig.instruments.settings import RigSettings
 from squeal_rig.instruments.virtual import VirtualRig
@@ -107,19 +106,19 @@ def test_impact_changes_momentum_by_the_impulse():
     rig.next_block()
     assert rig.impact() == pytest.approx((0.0, -0.4), abs=1e-15)
     block = rig.next_block()
-    # The first sample is taken at the block boundary, right after the hit; at rest before up to rounding.
+    # The first sample is taken at the block boundary, right after the impact; at rest before up to rounding.
     assert block.truth["vy"][0] == pytest.approx(-0.4 / PARAMETERS.mass, rel=1e-6)  # type: ignore[index]
 
 
-def test_tare_takes_the_last_block_as_zero_and_reset_forgets_it():
+def test_tare_is_the_last_block_and_reset_forgets_it():
     rig = acquisition()
     loaded = float(rig.next_block().daq["arm_left"].mean())
-    offsets = rig.zero()
+    offsets = rig.take_tare()
     assert offsets["arm_left"] == pytest.approx(loaded, rel=1e-12)
     tared = rig.next_block().daq
     for channel in offsets:
         assert tared[channel].mean() == pytest.approx(0.0, abs=1e-6)
-    assert rig.zero()["arm_left"] == pytest.approx(loaded, rel=1e-9)  # a second tare does not pile up
+    assert rig.take_tare()["arm_left"] == pytest.approx(loaded, rel=1e-9)  # a second tare does not pile up
     rig.reset()
     assert rig.next_block().daq["arm_left"].mean() == pytest.approx(loaded, rel=1e-9)
 
@@ -151,8 +150,6 @@ def test_only_operating_point_and_friction_law_may_change_while_active():
 def test_a_driver_that_is_not_open_says_so():
     with pytest.raises(DriverError, match="not open"):
         VirtualRig().read(PARAMETERS)
-    with pytest.raises(DriverError, match="not known"):
-        make_driver("steam")
 
 
 def test_sample_rate_must_give_whole_blocks():

@@ -27,7 +27,7 @@ def string_cdr(text):
 
 
 def write_squeal(folder):
-    """Write the bag: a second at 300 N, from a hit on."""
+    """Write the bag: a second at 300 N, from an impact on."""
     p = RigParameters.preset("yavuz_sen_2023").replace(preload=300.0, damping_x=20.0, damping_y=20.0)
     acquisition = Acquisition(VirtualRig(), p, RigSettings())
     acquisition.start(_START)

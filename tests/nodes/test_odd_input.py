@@ -48,6 +48,7 @@ ODD_BLOCKS = {
     "preload_out_of_bounds": _daq(preload=1e6),
     "belt_backwards": _daq(belt_speed=-1.0),
     "seq_all_the_same": _daq(seq=7),
+    "time_beyond_all_bounds": _daq(t=1e308),
     "seq_leaps": _daq(seq=np.arange(512) + 3_000_000_000),
 }
 ODD_WINDOWS = {
@@ -71,6 +72,13 @@ ODD_DESCRIPTIONS = {
     "negative_mass": _TEXT.replace("mass: 11.499", "mass: -1.0"),
     "no_equilibrium": _DESCRIPTION.with_parameters({"k1": 0.0, "k2": 0.0, "k3": 0.0, "k4": 0.0}).to_yaml(),
     "unknown_key": _TEXT + "colour: red\n",
+    "a_number_as_a_key": _TEXT + "1: 2\n",
+    "a_list_as_a_key": _TEXT + "? [1, 2]\n: 3\n",
+    "a_number_of_400_digits": _TEXT.replace("mass: 11.499", "mass: " + 400 * "9"),
+    "a_tare_of_400_digits": _TEXT + "tare_x: " + 400 * "9" + "\n",
+    "a_tare_that_is_no_number": _TEXT + "tare_x: .nan\n",
+    "a_list_for_the_driver": _TEXT.replace('driver: "virtual"', "driver: [virtual]"),
+    "a_number_for_the_truth": _TEXT.replace("publishes_truth: true", "publishes_truth: 3"),
 }
 
 
@@ -84,10 +92,10 @@ class Talk:
     health: object = field(repr=False)
     summaries: object = field(repr=False)
 
-    def block(self, topic, samples):
+    def block(self, topic, samples, stamp=10**18):
         from squeal_rig.graph.conversions import cloud
 
-        self.publishers[topic].publish(cloud(samples, 10**18))
+        self.publishers[topic].publish(cloud(samples, stamp))
 
     def describe(self, text):
         from std_msgs.msg import String
@@ -131,6 +139,8 @@ def test_nodes_live_through_odd_messages(talk, observer, kind):
     if kind == "blocks":
         for block in ODD_BLOCKS.values():
             talk.block("daq/samples", block)
+        for stamp in (2**31 - 1, -1):  # [s]
+            talk.block("daq/samples", _daq(1000), stamp * 10**9 + 999_999_999)
     elif kind == "truth":
         for block in (*ODD_BLOCKS.values(), _block(TRUTH_RECORD, 512, mu=np.nan), _block(TRUTH_RECORD, 0)):
             talk.block("truth/samples", block)

@@ -32,11 +32,11 @@ def test_an_impact_changes_the_momentum_by_its_impulse_at_a_block_boundary(bench
     assert bench.observer.set({"impact_impulse": size, "impact_direction": angle}, atomically=True) == [(True, "")]
     before = _newest(bench)
     answer = bench.observer.trigger("impact")
-    assert answer == (True, f"hit the pad with ({size * np.cos(angle):.4g}, {size * np.sin(angle):.4g}) N s")
+    assert answer == (True, f"impact of ({size * np.cos(angle):.4g}, {size * np.sin(angle):.4g}) N s")
     mass = bench.observer.description().parameters.mass
     moving = [b.samples for b in _blocks_after(bench, before, 20) if np.max(np.abs(b.samples["vx"])) > 1e-9]
     first = moving[0][0]
-    # The first sample lies one sampling interval after the hit; at rest before, so the whole momentum is the hit's.
+    # The first sample lies one sampling interval after the impact; at rest before, so the whole momentum is its.
     # By then arms and belt have changed it by the order of omega^2 / rate^2 / 2, 1 % at 7000 rad/s.
     momentum = mass * np.array([first["vx"], first["vy"]])
     np.testing.assert_allclose(momentum, [size * np.cos(angle), size * np.sin(angle)], atol=0.05 * size)
@@ -65,7 +65,7 @@ def test_while_paused_no_block_comes_and_then_seq_goes_on_with_a_new_t0(bench):
     last = bench.daq[-1]
     bench.observer.spin(0.5)
     assert bench.daq[-1] is last
-    # Changes and hits are taken while paused, and in force afterwards.
+    # Changes and impacts are taken while paused, and in force afterwards.
     assert bench.observer.set({"preload": 55.0}) == [(True, "")]
     resumed = bench.observer.node.get_clock().now().nanoseconds
     assert bench.observer.pause(False) == (True, "running")
@@ -128,14 +128,14 @@ def test_the_lifecycle_decides_what_may_be_set_and_called(compiled, processes, o
     assert reason == (
         "mass is a constant of the machine: it cannot change while the rig is active, deactivate it first"
     )
-    # The pad has the mass it was given: a hit moves it with size / mass.
+    # The pad has the mass it was given: an impact moves it with size / mass.
     truth = observer.follow_samples(f"{ns}/truth/samples")
     assert observer.set({"impact_impulse": 0.01, "impact_direction": 0.0}, rig, atomically=True) == [(True, "")]
     observer.wait_for(lambda: truth, "truth")
     assert observer.trigger("impact", rig)[0]
     observer.wait_for(lambda: np.max(truth[-1].samples["vx"]) > 1e-5, "a moving pad")
     first = next(block.samples["vx"][0] for block in truth if np.max(block.samples["vx"]) > 1e-5)
-    # One sample after the hit: cos(7000 / 51200) is 1 % less, and what moved before is rounding.
+    # One sample after the impact: cos(7000 / 51200) is 1 % less, and what moved before is rounding.
     assert first == pytest.approx(0.01 / 20.0, rel=0.03)
 
     assert observer.transition("deactivate", rig)

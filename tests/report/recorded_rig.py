@@ -3,16 +3,15 @@
 import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
-from squeal_rig.estimation.friction import FrictionEstimator
+from squeal_rig.estimation.friction_follower import FrictionFollower
 from squeal_rig.estimation.settings import FrictionSettings
 from squeal_rig.estimation.stability_follower import Estimate, InForce, StabilityFollower
 from squeal_rig.instruments.acquisition import Acquisition
-from squeal_rig.instruments.channels import FRICTION_SAMPLE_RECORD
 from squeal_rig.instruments.description import RigDescription
 from squeal_rig.instruments.settings import RigSettings
 from squeal_rig.instruments.virtual import VirtualRig
 from squeal_rig.model import RigParameters
-from squeal_rig.recording import BagWriter, MessageSchema, QosProfile, cdr_from_samples
+from squeal_rig.recording import BagWriter, MessageSchema, QosProfile, cdr_from_samples, samples_from_cdr
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 LATCHED = QosProfile(depth=1, durability="transient_local")
@@ -52,7 +51,8 @@ class Recording:
             for name in names
         }
         self.live, self.late = live, late
-        self.friction = FrictionEstimator(RigDescription(PARAMETERS), FrictionSettings())
+        self.friction = FrictionFollower(FrictionSettings())
+        self.friction.take_rig(RigDescription(PARAMETERS))
         self.stability = StabilityFollower()
         self.daq, self.truth = [], []
         self.time = START
@@ -78,37 +78,22 @@ class Recording:
             self.estimate(block)
 
     def estimate(self, block):
-        mu, valid, windows = self.friction.add_samples(block.stamp, block.daq)
-        samples = np.zeros(len(mu), FRICTION_SAMPLE_RECORD)
-        samples["t"], samples["mu"], samples["valid"], samples["seq"] = block.daq["t"], mu, valid, block.daq["seq"]
-        self.put("friction/samples", cdr_from_samples(samples, block.stamp))
-        for window in windows + self.friction.add_truth(block.truth):
-            self.put("friction/windows", cdr_from_samples(window.as_record(), window.stamp))
-            self.put("friction/mu", serialised("std_msgs/msg/Float64", window.values["mu"]))
-            self.stability.take_estimate(Estimate(window.values["mu_ratio_of_means"], window.values["t_end"]))
-        last = block.daq[-1]
-        self.stability.take_block(InForce(float(last["preload"]), float(last["belt_speed"]), int(last["seq"])))
+        messages = self.friction.take_block(block.stamp, block.daq) + self.friction.take_truth(block.truth)
+        self.put_again(messages)
+        for name, data in messages:
+            if name == "friction/windows":
+                self.stability.take_estimate(Estimate.of(samples_from_cdr(data).samples[0]))
+        self.stability.take_block(InForce.after(block.daq))
         self.summarise()
 
+    def put_again(self, messages):
+        """Read by `rosbags` and serialised by it: bytes that are no such message do not get through."""
+        for name, data in messages:
+            self.put(name, bytes(TYPES.serialize_cdr(TYPES.deserialize_cdr(data, TOPICS[name]), TOPICS[name])))
+
     def summarise(self):
-        now = self.time * 1e-9
-        if not self.live or not self.stability.is_due(now):
-            return
-        types, summary = TYPES.types, self.stability.summary(now)
-        rows = np.array(summary.eigenvalues)
-        dimension = types["std_msgs/msg/MultiArrayDimension"]
-        layout = types["std_msgs/msg/MultiArrayLayout"](
-            [dimension("eigenvalue [rad/s]", 4, 8), dimension("re, im", 2, 2)], 0
-        )
-        self.put("stability/eigenvalues", serialised("std_msgs/msg/Float64MultiArray", layout, rows.reshape(-1)))
-        pair, status = types["diagnostic_msgs/msg/KeyValue"], types["diagnostic_msgs/msg/DiagnosticStatus"]
-        statuses = [
-            status(s.level, s.name, s.message, "", [pair(key, value) for key, value in s.values.items()])
-            for s in summary.statuses
-        ]
-        seconds, rest = divmod(self.time, 10**9)
-        header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](seconds, rest), "rig")
-        self.put("stability/summary", serialised("diagnostic_msgs/msg/DiagnosticArray", header, statuses))
+        if self.live and self.stability.is_due(self.time * 1e-9):
+            self.put_again(self.stability.summary(self.time * 1e-9, self.time))
 
 
 def record(directory, blocks=150, prefix="/", live=True):

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from recorded_rig import record
 
-from squeal_rig.analysis.estimate import estimate_bag
-from squeal_rig.analysis.estimate_check import compare_estimates
+from squeal_rig.analysis.estimate import compare_estimates, estimate_bag
 from squeal_rig.recording import Bag, samples_from_cdr
 from squeal_rig.recording.verify import verify
 

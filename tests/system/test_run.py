@@ -15,7 +15,7 @@ pytest.importorskip("rclpy")
 # Starting six nodes takes some seconds; compiling the model for the first time far longer.
 _PATIENCE = 200.0
 _PLAN = """\
-title: quiet, squeal, reset, hit
+title: quiet, squeal, reset, impact
 steps:
   - wait: 0.6
   - note: into squeal

@@ -12,8 +12,8 @@ from squeal_rig.estimation.regression import FrictionModel, FrictionRegression
 from squeal_rig.estimation.settings import FrictionSettings
 from squeal_rig.instruments.acquisition import Acquisition
 from squeal_rig.instruments.description import RigDescription
-from squeal_rig.instruments.driver import make_driver
 from squeal_rig.instruments.settings import BLOCKS_PER_SECOND, RigSettings
+from squeal_rig.instruments.virtual import VirtualRig
 from squeal_rig.model.parameters import RigParameters
 
 PRELOADS = (50.0, 200.0)
@@ -54,7 +54,7 @@ def measure_friction(p: RigParameters) -> FrictionExperiment:
 def _slide(p: RigParameters) -> tuple[float, float]:
     """Estimated and true mu at one operating point, means over windows."""
     settings = RigSettings()
-    rig = Acquisition(make_driver("virtual"), p, settings)
+    rig = Acquisition(VirtualRig(), p, settings)
     rig.start(0)
     estimator = FrictionEstimator(RigDescription(p, drum_radius=settings.drum_radius), FrictionSettings(window=_WINDOW))
     windows = []
