@@ -94,12 +94,12 @@ def stability_bounds(q: Vector, roots: Roots) -> tuple[float, float]:
 def _bounds(q: Vector, roots: Roots) -> tuple[float, float]:
     share_1, share_2 = _shares(q)
     stiffest = _STIFFEST / max(share_1, share_2) * (1.0 - 1e-12)
-    flutter = _undamped_flutter(q, share_1, share_2)
     # Damping of one direction alone, which slip-dependent friction is as well, makes growth begin below the
     # tolerance of growth: no root tells where it passes that.
     if friction_ratio_slope(0.0, q) != 0.0 or (q[C_X] == 0.0) != (q[C_Y] == 0.0):
-        return _scanned(q, share_1, share_2, stiffest, flutter, roots)
-    low, high = flutter if q[C_X] == 0.0 else _damped_flutter(q, share_1, share_2)
+        return _scanned(q, share_1, share_2, stiffest, roots)
+    undamped = q[C_X] == 0.0
+    low, high = _undamped_flutter(q, share_1, share_2) if undamped else _damped_flutter(q, share_1, share_2)
     below, above = _divergence(q, share_1, share_2)
     if not _grows_within(low, high, stiffest, share_1, share_2, q, roots):
         low, high = math.nan, math.nan
@@ -249,18 +249,17 @@ def _grows_within(
 
 
 @kernel
-def _scanned(
-    q: Vector, share_1: float, share_2: float, stiffest: float, flutter: tuple[float, float], roots: Roots
-) -> tuple[float, float]:
+def _scanned(q: Vector, share_1: float, share_2: float, stiffest: float, roots: Roots) -> tuple[float, float]:
     """The lowest unstable range by a scan of the largest real part over k and bisection of its edges."""
     grid = np.zeros(1 + _SCAN_POINTS + _FLUTTER_POINTS)
     lowest = 1e-4 * q[K_C]
     for i in range(_SCAN_POINTS):
         grid[1 + i] = lowest * (stiffest / lowest) ** (i / (_SCAN_POINTS - 1))
     used = 1 + _SCAN_POINTS
-    if flutter[0] < flutter[1]:  # it can be narrower than the grid
+    low, high = _undamped_flutter(q, share_1, share_2)
+    if low < high:  # it can be narrower than the grid
         for i in range(_FLUTTER_POINTS):
-            k = flutter[0] + i / (_FLUTTER_POINTS - 1) * (flutter[1] - flutter[0])
+            k = low + i / (_FLUTTER_POINTS - 1) * (high - low)
             grid[used] = min(k, stiffest)
             used += 1
     grid[:used].sort()
