@@ -50,6 +50,7 @@ setup(
         "mcap-ros2-support>=0.5.5",
         "numba>=0.58.1",
         "numpy>=1.26.4",
+        "PyYAML>=6.0.1",
         "rich>=13.7.1",
         "ruamel.yaml>=0.17.21",
         "scipy>=1.11.4",

@@ -153,11 +153,11 @@ def info(
 @bag_app.command()
 def verify(bag: BagArgument) -> None:
     """Check all of a bag; exit code 0 when it is sound, 1 when not, 2 when it is no bag."""
-    from squeal_rig.report.bag_reports import verdict_text
+    from squeal_rig.recording.verify import verify as verify_bag
 
-    text, sound = verdict_text(bag)
-    console.print(text)
-    raise typer.Exit(0 if sound else 1)
+    verdict = verify_bag(bag)
+    console.print("\n".join(verdict.sentences()), markup=False, highlight=False)
+    raise typer.Exit(0 if verdict.sound else 1)
 
 
 @bag_app.command()

@@ -142,7 +142,7 @@ def recorded_settings(bag: Bag, node: str) -> FrictionSettings:
         if record.name == AT_START:
             try:
                 name, _, values = parameters_of(record.values)
-            except (KeyError, ValueError, RecordingError):
+            except RecordingError:
                 continue
             if name == node:
                 return FrictionSettings.from_mapping({key: values[key] for key in known if key in values})

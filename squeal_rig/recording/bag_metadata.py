@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from squeal_rig.configuration.yaml_text import dump_yaml, load_yaml
-from squeal_rig.errors import RecordingError
+from squeal_rig.configuration.files import MAX_FOREIGN_YAML, dump_yaml, parse_yaml_texts, read_text
+from squeal_rig.errors import ConfigurationError, RecordingError
 
 from .qos_yaml import QosProfile, qos_from_list, qos_from_yaml, qos_to_mapping
 
@@ -130,15 +130,13 @@ def read_metadata(directory: Path) -> BagMetadata | None:
     Raises RecordingError when it cannot be read or describes another storage than MCAP.
     """
     path = directory / METADATA_FILE
-    if not path.is_file():
+    if not path.exists():
         return None
     try:
-        return _from_mapping(load_yaml(path.read_text(encoding="utf-8"))[_ROOT])
-    except OSError as error:
-        raise RecordingError(f"Cannot read {path}: {error.strerror}.") from None
-    except RecordingError as error:
+        return _from_mapping(parse_yaml_texts(read_text(path, MAX_FOREIGN_YAML), METADATA_FILE)[_ROOT])
+    except (ConfigurationError, RecordingError) as error:
         raise RecordingError(f"{path} is no metadata of a bag that can be read: {error}") from None
-    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise RecordingError(f"{path} is no metadata of a bag ({type(error).__name__}: {error}).") from None
 
 
@@ -156,11 +154,10 @@ def _from_mapping(mapping: Mapping[str, Any]) -> BagMetadata:
         _topic_entry(entry["topic_metadata"], int(entry["message_count"]))
         for entry in mapping["topics_with_message_count"]
     ]
-    custom = mapping.get("custom_data") or {}
     return BagMetadata(
         files=tuple(files),
         topics=tuple(topics),
-        custom_data={str(key): str(value) for key, value in custom.items()},
+        custom_data=_custom_data(mapping),
         ros_distro=str(mapping.get("ros_distro", "")),
     )
 
@@ -191,7 +188,12 @@ def paths_of(files: Sequence[FileEntry], directory: Path) -> tuple[Path, ...]:
 def custom_data_of(serialized_metadata: str) -> dict[str, str]:
     """Return the custom data of rosbag2's `serialized_metadata` text; empty where it cannot be read."""
     try:
-        custom = load_yaml(serialized_metadata).get("custom_data") or {}
-        return {str(key): str(value) for key, value in custom.items()}
-    except (RecordingError, AttributeError):
+        loaded = parse_yaml_texts(serialized_metadata, "serialized_metadata")
+    except ConfigurationError:
         return {}
+    return _custom_data(loaded) if isinstance(loaded, Mapping) else {}
+
+
+def _custom_data(mapping: Mapping[str, Any]) -> dict[str, str]:
+    custom = mapping.get("custom_data")
+    return {str(key): str(value) for key, value in custom.items()} if isinstance(custom, Mapping) else {}

@@ -1,4 +1,4 @@
-"""Serialises the few messages that offline estimation writes, without ROS.
+"""Serialises the few messages that are written without ROS.
 
 CDR, little-endian (OMG DDSI-RTPS 2.3, section 10): numbers are aligned to their size from the end of the header.
 """
@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from struct import pack
 
-_HEADER = b"\x00\x01\x00\x00"
+CDR_HEADER = b"\x00\x01\x00\x00"  # little-endian
 
 
 class CdrWriter:
@@ -46,7 +46,7 @@ class CdrWriter:
 
     def done(self) -> bytes:
         """The whole message."""
-        return _HEADER + bytes(self._out)
+        return CDR_HEADER + bytes(self._out)
 
     def _align(self, size: int) -> None:
         self._out += bytes(-len(self._out) % size)

@@ -1,36 +1,40 @@
 """One MCAP chunk: messages packed on the way in, unpacked on the way out. Nothing here touches a file.
 
 Every chunk carries the schema and channel records of the messages in it, so that one damaged chunk never
-orphans another. Record layouts: https://mcap.dev/spec, section Records.
+orphans another.
 """
 
 from __future__ import annotations
 
-import io
+import struct
 import zlib
 from collections.abc import Container, Iterator
-from dataclasses import dataclass
-from struct import Struct
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import zstandard
-from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import Channel, ChunkIndex, McapRecord, Schema
+from mcap.records import Channel, ChunkIndex, Schema
 
 from squeal_rig.errors import RecordingError
+
+from .records import (
+    CHUNK,
+    HEAD,
+    INDEX,
+    INDEX_ENTRY,
+    MAX_CHUNK_BYTES,
+    MESSAGE,
+    MESSAGE_RECORD,
+    BrokenRecordError,
+    iter_records,
+    record_bytes,
+)
 
 COMPRESSIONS = ("zstd", "none")
 # Level 1 packs as fast as a disk takes it; higher levels gain little on noisy floats.
 _ZSTD_LEVEL = 1
-MAX_CHUNK_BYTES = 2**31  # a larger size in a chunk header is damage, not data
-
-_RECORD = Struct("<BQ")  # opcode, length of what follows
-_MESSAGE = Struct("<BQHIQQ")  # record head, then channel, sequence, log time, publish time
-_MESSAGE_BODY = Struct("<HIQQ")
-_CHUNK_HEAD = Struct("<QQQI")  # start time, end time, uncompressed size, CRC of the uncompressed bytes
-_INDEX_HEAD = Struct("<BQHI")
-_INDEX_ENTRY = Struct("<QQ")
+_LENGTH, _SIZE = struct.Struct("<I"), struct.Struct("<Q")
 
 
 class ChunkMessage(NamedTuple):
@@ -41,14 +45,6 @@ class ChunkMessage(NamedTuple):
     log_time: int
     publish_time: int
     data: bytes
-
-
-def record_bytes(record: McapRecord) -> bytes:
-    """Return a record as it stands in a file."""
-    builder = RecordBuilder()
-    record.write(builder)
-    packed: bytes = builder.end()  # type: ignore[no-untyped-call]
-    return packed
 
 
 @dataclass(frozen=True)
@@ -64,18 +60,8 @@ class PackedChunk:
 
     def placed_at(self, offset: int) -> ChunkIndex:
         """Return the summary entry for a chunk that starts at this offset of the file."""
-        index = self.index
-        return ChunkIndex(
-            chunk_length=index.chunk_length,
-            chunk_start_offset=offset,
-            compression=index.compression,
-            compressed_size=index.compressed_size,
-            message_end_time=index.message_end_time,
-            message_index_length=index.message_index_length,
-            message_index_offsets={key: offset + at for key, at in index.message_index_offsets.items()},
-            message_start_time=index.message_start_time,
-            uncompressed_size=index.uncompressed_size,
-        )
+        places = {key: offset + at for key, at in self.index.message_index_offsets.items()}
+        return replace(self.index, chunk_start_offset=offset, message_index_offsets=places)
 
 
 class ChunkBuilder:
@@ -105,9 +91,9 @@ class ChunkBuilder:
                 self._append(record_bytes(schema))
             self._append(record_bytes(channel))
         entries.append((message.log_time, self.size))
-        head = _MESSAGE.pack(
+        head = MESSAGE_RECORD.pack(
             Opcode.MESSAGE,
-            _MESSAGE_BODY.size + len(message.data),
+            MESSAGE.size + len(message.data),
             channel.id,
             message.sequence,
             message.log_time,
@@ -125,21 +111,21 @@ class ChunkBuilder:
         times = [entry[0] for entries in self._entries.values() for entry in entries]
         start, end = min(times), max(times)
         body = (
-            _CHUNK_HEAD.pack(start, end, len(raw), zlib.crc32(raw))
+            CHUNK.pack(start, end, len(raw), zlib.crc32(raw))
             + len(name).to_bytes(4, "little")
             + name
             + len(packed).to_bytes(8, "little")
         )
-        chunk_length = _RECORD.size + len(body) + len(packed)
-        parts = [_RECORD.pack(Opcode.CHUNK, len(body) + len(packed)), body, packed]
+        chunk_length = HEAD.size + len(body) + len(packed)
+        parts = [HEAD.pack(Opcode.CHUNK, len(body) + len(packed)), body, packed]
         offsets: dict[int, int] = {}
         offset = chunk_length
         for channel_id, entries in self._entries.items():
             offsets[channel_id] = offset
-            size = len(entries) * _INDEX_ENTRY.size
-            parts.append(_INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + size, channel_id, size))
-            parts += [_INDEX_ENTRY.pack(*entry) for entry in entries]
-            offset += _INDEX_HEAD.size + size
+            size = len(entries) * INDEX_ENTRY.size
+            parts.append(HEAD.pack(Opcode.MESSAGE_INDEX, INDEX.size + size) + INDEX.pack(channel_id, size))
+            parts += [INDEX_ENTRY.pack(*entry) for entry in entries]
+            offset += HEAD.size + INDEX.size + size
         index = ChunkIndex(
             chunk_length=chunk_length,
             chunk_start_offset=0,
@@ -158,30 +144,47 @@ class ChunkBuilder:
         self.size += len(part)
 
 
-def unpack_chunk(record_body: bytes) -> bytes:
+class ChunkHead(NamedTuple):
+    """What a chunk record says before its data, which lies from byte `start` to `end` of the record's body.
+
+    Times in [ns], size and CRC of the uncompressed bytes; CRC 0 is none.
+    """
+
+    start_time: int
+    end_time: int
+    raw_size: int
+    crc: int
+    compression: bytes
+    start: int
+    end: int
+
+
+def read_chunk_head(body: bytes) -> ChunkHead:
+    """Return the head of a chunk from the record's body, of which the first bytes are enough."""
+    name = CHUNK.size + 4
+    try:
+        start_time, end_time, raw_size, crc = CHUNK.unpack_from(body)
+        start = name + _LENGTH.unpack_from(body, CHUNK.size)[0] + 8
+        size = _SIZE.unpack_from(body, start - 8)[0]
+    except struct.error:
+        raise BrokenRecordError("the chunk is cut short") from None
+    return ChunkHead(start_time, end_time, raw_size, crc, body[name : start - 8], start, start + size)
+
+
+def unpack_chunk(body: bytes) -> bytes:
     """Return the uncompressed records of a chunk record (without its 9-byte head).
 
-    Raises RecordingError when the chunk is damaged: wrong sizes, undecodable data, a CRC that does not fit.
+    Raises BrokenRecordError when the chunk is damaged: wrong sizes, undecodable data, a CRC that does not fit.
     """
+    head = read_chunk_head(body)
+    if head.end > len(body) or head.raw_size > MAX_CHUNK_BYTES:
+        raise BrokenRecordError("the chunk's sizes do not fit")
     try:
-        _, _, raw_size, crc = _CHUNK_HEAD.unpack_from(record_body, 0)
-        at = _CHUNK_HEAD.size
-        name_size = int.from_bytes(record_body[at : at + 4], "little")
-        name = record_body[at + 4 : at + 4 + name_size]
-        at += 4 + name_size
-        size = int.from_bytes(record_body[at : at + 8], "little")
-        packed = record_body[at + 8 : at + 8 + size]
-        if len(packed) != size or raw_size > MAX_CHUNK_BYTES:
-            raise RecordingError("the chunk's sizes do not fit")
-        raw = _decompress(name, packed, raw_size)
+        raw = _decompress(head.compression, body[head.start : head.end], head.raw_size)
     except (ArithmeticError, ValueError, RuntimeError, MemoryError, zstandard.ZstdError) as error:
-        raise RecordingError(f"the chunk cannot be decompressed ({error})") from None
-    except Exception as error:  # struct.error is a bare Exception
-        if isinstance(error, RecordingError):
-            raise
-        raise RecordingError("the chunk is cut short") from None
-    if len(raw) != raw_size or (crc and zlib.crc32(raw) != crc):
-        raise RecordingError("the chunk's checksum does not fit")
+        raise BrokenRecordError(f"the chunk cannot be decompressed ({error})") from None
+    if len(raw) != head.raw_size or (head.crc and zlib.crc32(raw) != head.crc):
+        raise BrokenRecordError("the chunk's checksum does not fit")
     return raw
 
 
@@ -194,44 +197,17 @@ def _decompress(name: bytes, packed: bytes, raw_size: int) -> bytes:
         try:
             import lz4.frame  # only foreign bags use it
         except ImportError:
-            raise RecordingError("the chunk is compressed with lz4: install the Python package lz4") from None
+            raise BrokenRecordError("the chunk is compressed with lz4: install the Python package lz4") from None
         return bytes(lz4.frame.decompress(packed))
-    raise RecordingError(f"the chunk is compressed with {name!r}, which is not known")
-
-
-def iter_records(raw: bytes) -> Iterator[tuple[int, int, int]]:
-    """Yield (opcode, body start, body end) of the records in raw; RecordingError when one overruns."""
-    at, stop = 0, len(raw)
-    while at < stop:
-        if at + _RECORD.size > stop:
-            raise RecordingError("a record is cut short")
-        opcode, size = _RECORD.unpack_from(raw, at)
-        at += _RECORD.size
-        if size > stop - at:
-            raise RecordingError("a record is longer than what holds it")
-        yield opcode, at, at + size
-        at += size
+    raise BrokenRecordError(f"the chunk is compressed with {name!r}, which is not known")
 
 
 def iter_messages(raw: bytes, wanted: Container[int] | None = None) -> Iterator[ChunkMessage]:
     """Yield the messages of the uncompressed records, only of the wanted channel ids where given."""
     for opcode, start, end in iter_records(raw):
-        if opcode != Opcode.MESSAGE:
-            continue
-        if end - start < _MESSAGE_BODY.size:
-            raise RecordingError("a message record is cut short")
-        channel_id, sequence, log_time, publish_time = _MESSAGE_BODY.unpack_from(raw, start)
-        if wanted is None or channel_id in wanted:
-            data = raw[start + _MESSAGE_BODY.size : end]
-            yield ChunkMessage(channel_id, sequence, log_time, publish_time, data)
-
-
-def iter_definitions(raw: bytes) -> Iterator[Schema | Channel]:
-    """Yield the schema and channel records among the uncompressed records."""
-    for opcode, start, end in iter_records(raw):
-        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            kind = Schema if opcode == Opcode.SCHEMA else Channel
-            try:
-                yield kind.read(ReadDataStream(io.BytesIO(raw[start:end])))
-            except Exception as error:  # mcap raises its own, struct's and unicode errors here
-                raise RecordingError(f"a {kind.__name__.lower()} record cannot be read ({error})") from None
+        if opcode == Opcode.MESSAGE:
+            if end - start < MESSAGE.size:
+                raise BrokenRecordError("a message record is cut short")
+            channel_id, sequence, log_time, publish_time = MESSAGE.unpack_from(raw, start)
+            if wanted is None or channel_id in wanted:
+                yield ChunkMessage(channel_id, sequence, log_time, publish_time, raw[start + MESSAGE.size : end])

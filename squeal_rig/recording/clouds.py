@@ -8,13 +8,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from struct import Struct, pack_into
+from struct import Struct
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from squeal_rig.errors import RecordingError
+
+from .cdr import CDR_HEADER, CdrWriter
 
 # sensor_msgs/PointField: datatype number -> numpy code
 _CODES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
@@ -72,9 +74,7 @@ def samples_from_cdr(data: bytes) -> SampleBlock:
     return SampleBlock(seconds * 1_000_000_000 + nanoseconds, layout.frame_id, _view(data, layout))
 
 
-def cdr_from_samples(
-    samples: npt.NDArray[Any], stamp_ns: int, frame_id: str = "rig", *, little_endian: bool = True
-) -> bytes:
+def cdr_from_samples(samples: npt.NDArray[Any], stamp_ns: int, frame_id: str = "rig") -> bytes:
     """Return a serialised PointCloud2 of height 1 with these samples, structured array (n,), stamp in [ns].
 
     Raises RecordingError where a field or the stamp does not fit the message.
@@ -84,31 +84,28 @@ def cdr_from_samples(
         raise RecordingError(f"The stamp is {stamp_ns} ns; it must fit 32-bit seconds.")
     if samples.ndim != 1 or samples.dtype.names is None:
         raise RecordingError(f"Samples are a structured array (n,), not {samples.dtype} of shape {samples.shape}.")
-    head = bytearray((0, int(little_endian), 0, 0))
-    head += (_STAMP_LE if little_endian else _STAMP_BE).pack(seconds, nanoseconds)
-    head += _head_after_stamp(samples.dtype, len(samples), frame_id, little_endian)
+    head = CDR_HEADER + _STAMP_LE.pack(seconds, nanoseconds) + _head_after_stamp(samples.dtype, len(samples), frame_id)
     # One copy of the points: a block of a fast rig is near a megabyte.
     return b"".join((head, np.ascontiguousarray(samples).view(np.uint8).data, b"\x01"))
 
 
 @lru_cache(maxsize=64)
-def _head_after_stamp(dtype: np.dtype[Any], count: int, frame_id: str, little_endian: bool) -> bytes:
+def _head_after_stamp(dtype: np.dtype[Any], count: int, frame_id: str) -> bytes:
     """All of a message between its stamp and its point data: the same in every block of a run."""
     fields, big = _fields_of(dtype)
-    order = "<" if little_endian else ">"
-    out = bytearray()  # the stamp ends at byte 12, so alignment counts from here as well
-    _put_text(out, order, frame_id)
+    writer = CdrWriter()  # the stamp ends at byte 12, so alignment counts from here as well
+    writer.text(frame_id)
     for number in (1, count, len(fields)):
-        _put(out, order + "I", number)
+        writer.uint32(number)
     for name, offset, datatype, repeat in fields:
-        _put_text(out, order, name)
-        _put(out, order + "I", offset)
-        out.append(datatype)
-        _put(out, order + "I", repeat)
-    out.append(int(big))
+        writer.text(name)
+        writer.uint32(offset)
+        writer.octet(datatype)
+        writer.uint32(repeat)
+    writer.octet(big)
     for number in (dtype.itemsize, dtype.itemsize * count, dtype.itemsize * count):
-        _put(out, order + "I", number)
-    return bytes(out)
+        writer.uint32(number)
+    return writer.done()[len(CDR_HEADER) :]
 
 
 _STAMP_LE, _STAMP_BE = Struct("<iI"), Struct(">iI")
@@ -246,16 +243,3 @@ def _fields_of(dtype: np.dtype[Any]) -> tuple[list[tuple[str, int, int, int]], b
     if len(orders) > 1:
         raise RecordingError("The fields of a point must share one byte order.")
     return fields, orders == {True}
-
-
-def _put(out: bytearray, code: str, value: int) -> None:
-    out += bytes(-len(out) % 4)
-    at = len(out)
-    out += bytes(4)
-    pack_into(code, out, at, value)
-
-
-def _put_text(out: bytearray, order: str, text: str) -> None:
-    encoded = text.encode() + b"\0"
-    _put(out, order + "I", len(encoded))
-    out += encoded

@@ -28,10 +28,10 @@ from mcap.records import (
 
 from squeal_rig.errors import RecordingError
 
-from .chunks import PackedChunk, record_bytes
+from .chunks import PackedChunk
+from .records import FOOTER, HEAD, MAGIC, record_bytes
 
-MAGIC = b"\x89MCAP0\r\n"
-_FOOTER_BYTES = 9 + 8 + 8 + 4
+_BEFORE_CRC = HEAD.size + FOOTER.size - 4  # of the footer record
 
 
 @dataclass
@@ -137,8 +137,8 @@ class McapFile:
             offset_start = start + len(summary)
             footer = record_bytes(Footer(summary_start=start, summary_offset_start=offset_start, summary_crc=0))
             # The CRC covers the summary and the footer up to the CRC field itself.
-            crc = zlib.crc32(summary + offsets + footer[: _FOOTER_BYTES - 4])
-            ending = footer[: _FOOTER_BYTES - 4] + crc.to_bytes(4, "little") + MAGIC
+            crc = zlib.crc32(summary + offsets + footer[:_BEFORE_CRC])
+            ending = footer[:_BEFORE_CRC] + crc.to_bytes(4, "little") + MAGIC
             self._append(summary + offsets + ending)
             os.fsync(self._stream.fileno())
         except OSError as error:

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from squeal_rig.configuration.yaml_text import dump_yaml, load_yaml
+from squeal_rig.configuration.files import dump_yaml, parse_yaml
+from squeal_rig.errors import ConfigurationError, RecordingError
 
 #: Names of the records: all parameters of a node when it was asked, and one change of them.
 AT_START, CHANGE = "parameters", "parameter_change"
 _MAX_NODES = 1000  # nodes come and go in a long recording; what is repeated in every file stays bounded
+_MAX_VALUES = 1 << 20  # characters of YAML
 
 Record = tuple[str, dict[str, str]]
 
@@ -49,10 +51,13 @@ class ParameterLog:
 def parameters_of(record: Mapping[str, str]) -> tuple[str, int, dict[str, Any]]:
     """Return (node, time [ns], name -> value) of a record that a ParameterLog has worded.
 
-    Raises RecordingError or KeyError when it is none.
+    Raises RecordingError when it is none.
     """
-    values = load_yaml(record["values"])
-    return record["node"], int(record["time_ns"]), values if isinstance(values, dict) else {}
+    try:
+        values = parse_yaml(record["values"], "parameters of a node", _MAX_VALUES)
+        return record["node"], int(record["time_ns"]), values if isinstance(values, dict) else {}
+    except (KeyError, ValueError, ConfigurationError) as error:
+        raise RecordingError(f"The bag has a damaged record of parameters ({error}).") from None
 
 
 def _record(name: str, node: str, values: Mapping[str, Any], time_ns: int) -> Record:

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
-from squeal_rig.configuration.yaml_text import load_yaml
-from squeal_rig.errors import RecordingError
+from squeal_rig.configuration.files import dump_yaml, parse_yaml_texts
+from squeal_rig.errors import ConfigurationError, RecordingError
 
 INFINITE_NS = 2**63 - 1
 
@@ -88,7 +89,7 @@ def qos_from_mapping(mapping: Mapping[str, Any]) -> QosProfile:
             lifespan_ns=_duration_from_mapping(mapping["lifespan"]),
             liveliness=_policy_name("liveliness", mapping["liveliness"]),
             liveliness_lease_ns=_duration_from_mapping(mapping["liveliness_lease_duration"]),
-            avoid_ros_namespace_conventions=bool(mapping["avoid_ros_namespace_conventions"]),
+            avoid_ros_namespace_conventions=str(mapping["avoid_ros_namespace_conventions"]).lower() == "true",
         )
     except KeyError as error:
         raise RecordingError(f"A QoS profile lacks the key {error}.") from None
@@ -98,46 +99,40 @@ def qos_from_mapping(mapping: Mapping[str, Any]) -> QosProfile:
 
 def qos_to_yaml(profiles: Sequence[QosProfile]) -> str:
     """Return the text of the channel metadata `offered_qos_profiles`, as yaml-cpp would dump it."""
-    if not profiles:
-        return "[]"
-    lines: list[str] = []
-    for profile in profiles:
-        start = "- "
-        for key, value in qos_to_mapping(profile).items():
-            if isinstance(value, dict):
-                lines += [f"{start}{key}:", f"    sec: {value['sec']}", f"    nsec: {value['nsec']}"]
-            else:
-                lines.append(f"{start}{key}: {str(value).lower() if isinstance(value, bool) else value}")
-            start = "  "
-    return "\n".join(lines)
+    return _qos_text(tuple(profiles))
 
 
+@lru_cache(maxsize=256)  # a bag's topics have a handful of profiles
+def _qos_text(profiles: tuple[QosProfile, ...]) -> str:
+    return dump_yaml([qos_to_mapping(profile) for profile in profiles]).rstrip("\n")
+
+
+@lru_cache(maxsize=256)
 def qos_from_yaml(text: str) -> tuple[QosProfile, ...]:
     """Return the profiles of an `offered_qos_profiles` text; an empty text is an empty tuple."""
     try:
-        loaded = load_yaml(text)
-    except RecordingError as error:
-        raise RecordingError(f"The offered QoS profiles are {error}.") from None
-    return qos_from_list(loaded)
+        return qos_from_list(parse_yaml_texts(text, "the offered QoS profiles"))
+    except ConfigurationError as error:
+        raise RecordingError(f"{error}.") from None
 
 
 def qos_from_list(loaded: object) -> tuple[QosProfile, ...]:
-    """Return the profiles of a loaded YAML list; None is an empty list."""
-    if loaded is None:
+    """Return the profiles of a loaded YAML list, whose values are texts; nothing is an empty list."""
+    if not loaded:
         return ()
     if not isinstance(loaded, list) or not all(isinstance(item, Mapping) for item in loaded):
         raise RecordingError("The offered QoS profiles are not a list of mappings.")
     return tuple(qos_from_mapping(item) for item in loaded)
 
 
-def _policy_name(policy: str, value: object) -> str:
+def _policy_name(policy: str, value: str) -> str:
     """Return the name of a policy given by name or by the number older bags hold."""
     names = POLICIES[policy]
-    if isinstance(value, int) and not isinstance(value, bool):
-        if 0 <= value < len(names):
-            return names[value]
-        raise RecordingError(f"QoS {policy} is {value}; it must lie in 0..{len(names) - 1}.")
-    return str(value)
+    if not value.isdecimal():
+        return value
+    if int(value) < len(names):
+        return names[int(value)]
+    raise RecordingError(f"QoS {policy} is {value}; it must lie in 0..{len(names) - 1}.")
 
 
 def _duration_to_mapping(nanoseconds: int) -> dict[str, int]:

@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import NamedTuple
 
 from mcap.records import Channel
 
@@ -18,6 +18,7 @@ from .bag_metadata import METADATA_FILE, custom_data_of, paths_of, read_metadata
 from .chunks import ChunkMessage
 from .mcap_index import Block, FileIndex, index_file, read_block
 from .qos_yaml import QosProfile, qos_from_yaml
+from .records import FileBytes
 from .schemas import MessageSchema
 from .sealed import PROVENANCE, unsealed
 
@@ -118,26 +119,19 @@ class Bag:
                     heap.append((block.start_time, number, block.offset, -1, block))
         heapq.heapify(heap)
         with ExitStack() as stack:
-            streams: dict[int, BinaryIO] = {}
+            files: dict[int, FileBytes] = {}
             while heap:
                 _, number, offset, _, item = heapq.heappop(heap)
                 if isinstance(item, ChunkMessage):
                     topic = names[number][item.channel_id]
                     yield RawMessage(topic, item.data, item.log_time, item.publish_time, item.sequence)
                     continue
-                if number not in streams:
-                    streams[number] = stack.enter_context(_open(self.files[number]))
-                found = read_block(streams[number], self.files[number], item, wanted[number])
+                if number not in files:
+                    files[number] = stack.enter_context(FileBytes(self.files[number]))
+                found = read_block(files[number], item, wanted[number])
                 for place, message in enumerate(found):
                     if start <= message.log_time < end:
                         heapq.heappush(heap, (message.log_time, number, offset, place, message))
-
-
-def _open(path: Path) -> BinaryIO:
-    try:
-        return open(path, "rb")
-    except OSError as error:
-        raise RecordingError(f"Cannot read {path}: {error.strerror}.") from None
 
 
 def find_files(path: Path) -> tuple[Path, ...]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from pathlib import Path
 
 from mcap.records import Channel, Schema
@@ -10,64 +9,17 @@ from mcap.records import Channel, Schema
 from squeal_rig.errors import RecordingError
 
 from .bag_metadata import custom_data_of
-from .chunks import ChunkMessage, iter_definitions, iter_messages
+from .chunks import ChunkMessage, iter_messages
+from .findings import Recovery
 from .qos_yaml import qos_from_yaml
 from .reader import find_files
+from .records import take_definitions
 from .salvage import Damaged, Salvage, Salvaged
 from .schemas import MessageSchema, full_type_name
 from .sealed import PROVENANCE, is_intact, unsealed
-from .writer import MAX_TIME, BagWriter, ChannelHandle
+from .writer import MAX_TIME, BagWriter, ChannelHandle, is_numbered
 
-_OURS = "squeal_rig"
 _MAX_STEP = 2**31
-
-
-@dataclass
-class Recovery:
-    """What came of it.
-
-    messages saved, of them `unproved` without a checksum in the file; chunks saved and damaged; `lost` messages that
-    the numbering or the summary shows to be missing; `lost_seconds` [s] between intact pieces with damage in between;
-    `closed` whether every file had its ending; `unread_bytes` behind the last intact piece of files without one.
-    """
-
-    messages: int = 0
-    unproved: int = 0
-    chunks: int = 0
-    damaged_chunks: int = 0
-    lost: int = 0
-    lost_seconds: float = 0.0
-    unread_bytes: int = 0
-    closed: bool = True
-    refused: dict[str, int] = field(default_factory=dict)  # reason -> messages
-    lost_records: int = 0
-
-    @property
-    def complete(self) -> bool:
-        """Whether nothing is known to be lost."""
-        return self.closed and not (self.lost or self.damaged_chunks or self.refused or self.unread_bytes)
-
-    def sentences(self) -> list[str]:
-        """What to tell the user."""
-        told = [f"saved {self.messages} messages in {self.chunks} intact pieces"]
-        if self.complete and not self.unproved:
-            return [*told, "nothing is missing"]
-        if self.lost or self.lost_seconds or self.damaged_chunks:
-            told.append(
-                f"lost {self.lost} messages and {self.lost_seconds:.3f} s between intact pieces,"
-                f" {self.damaged_chunks} chunks damaged"
-            )
-        if not self.closed:
-            told.append(
-                "the recording was not closed: what had not reached the file is lost too (at most one second of a"
-                f" recorder of ours); {self.unread_bytes} bytes at the end hold nothing intact"
-            )
-        if self.unproved:
-            told.append(f"{self.unproved} of the messages have no checksum in the file: nothing vouches for them")
-        if self.lost_records:
-            told.append(f"{self.lost_records} damaged metadata records were left out")
-        told += [f"{count} messages were left out: {reason}" for reason, count in self.refused.items()]
-        return told
 
 
 def recover(source: str | Path, directory: str | Path) -> Recovery:
@@ -228,7 +180,7 @@ class _File:
     @property
     def numbered(self) -> bool:
         """Whether messages are numbered one by one."""
-        return self._salvage.loose.library.startswith(_OURS)
+        return is_numbered(self._salvage.loose.library)
 
     @property
     def starts_at_zero(self) -> bool:
@@ -237,11 +189,7 @@ class _File:
 
     def define(self, records: bytes) -> None:
         """Take the definitions in a chunk."""
-        for record in iter_definitions(records):
-            if isinstance(record, Schema):
-                self._schemas[record.id] = record
-            else:
-                self._channels[record.id] = record
+        take_definitions(records, self._schemas, self._channels)
 
     def channel(self, channel_id: int) -> tuple[Channel, Schema]:
         """Return a channel with its schema; RecordingError where its definition is lost."""

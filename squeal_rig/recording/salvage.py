@@ -1,41 +1,50 @@
-"""Finds what is intact in an MCAP file of any state: not closed, cut short, with flipped bits.
+"""Finds what is intact in an MCAP file of any state: not closed, cut short, with flipped bits, with bytes too many.
 
-Nothing but a chunk's own bytes is believed: chunks are found by their shape anywhere in the file and proved by their
-checksum, so a damaged length never hides what comes after it.
+Records are followed one behind the other as long as each ends where another one begins. Where that breaks, the next
+chunk is found by its shape, wherever it is, so a damaged length never hides what comes after it. What counts is a
+chunk's own checksum.
 """
 
 from __future__ import annotations
 
-import io
-import mmap
-import os
 import re
 import zlib
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from struct import Struct
 
-from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Channel, Footer, Header, Metadata, Schema, Statistics
+from mcap.records import Channel, ChunkIndex, Footer, Header, McapRecord, Metadata, Schema, Statistics
 
 from squeal_rig.errors import RecordingError
 
-from .chunks import MAX_CHUNK_BYTES, iter_records, unpack_chunk
-from .mcap_file import MAGIC
-
-_RECORD = Struct("<BQ")
-_CHUNK_HEAD = Struct("<QQQI")
-# A chunk record: opcode, length below 4 GiB, times, size, checksum, name of the compression.
-_CHUNK = re.compile(rb"\x06(?=.{4}\x00{4}.{28}(?:\x04\x00{3}zstd|\x03\x00{3}lz4|\x00{4}))", re.DOTALL)
-_LOOSE = frozenset(
-    {Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.MESSAGE_INDEX, Opcode.METADATA}
-    | {Opcode.ATTACHMENT}
+from .chunks import ChunkHead, read_chunk_head, unpack_chunk
+from .records import (
+    CHUNK,
+    ENDING,
+    HEAD,
+    MAGIC,
+    BrokenRecordError,
+    FileBytes,
+    iter_records,
+    parse_record,
+    read_footer,
+    read_records,
+    summary_fits,
 )
-_ENDING = 9 + 20 + len(MAGIC)
+
+# A chunk record: opcode, length below 4 GiB, times, size, checksum, name of the compression. Or a file within the file.
+_SHAPE = re.compile(
+    rb"\x06(?=.{4}\x00{4}.{28}(?:\x04\x00{3}zstd|\x03\x00{3}lz4|\x00{4}))|" + re.escape(MAGIC) + rb"\x01", re.DOTALL
+)
+_SHAPE_BYTES = HEAD.size + CHUNK.size + 8
+_DATA_END = HEAD.pack(Opcode.DATA_END, 4)
+_LAST_OPCODE = max(Opcode)
+_TAKEN = (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA)
+_SUMMARY = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.CHUNK_INDEX)
 _RUN_BYTES = 1 << 20
-_FREED_AT_ONCE = 1 << 25
+_MAX_SUMMARY, _MAX_TRIES = 1 << 26, 16
+_FIRST_WINDOW, _WINDOW = 1 << 12, 1 << 22  # searched at once, at first and further on
 
 
 @dataclass(frozen=True)
@@ -45,24 +54,21 @@ class Salvaged:
     `proved` says whether a checksum vouches for them.
     """
 
-    offset: int
     records: bytes
     proved: bool
 
 
 @dataclass(frozen=True)
 class Damaged:
-    """A chunk that is there but not intact; its own claims about its times [ns], which nothing vouches for."""
-
-    offset: int
-    length: int
-    start_time: int
-    end_time: int
+    """A chunk that is there but not intact."""
 
 
 @dataclass
 class LooseRecords:
-    """What stands outside chunks: definitions, metadata, and what the summary says where its checksum fits."""
+    """What stands outside chunks: definitions, metadata, and what the summary says where its checksum fits.
+
+    `files_within` counts other MCAP files inside this one (in an attachment, in a message): they are no part of it.
+    """
 
     library: str = ""
     schemas: dict[int, Schema] = field(default_factory=dict)
@@ -70,6 +76,7 @@ class LooseRecords:
     metadata: list[tuple[str, dict[str, str]]] = field(default_factory=list)
     statistics: Statistics | None = None
     closed: bool = False
+    files_within: int = 0
 
 
 class Salvage:
@@ -81,124 +88,188 @@ class Salvage:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.loose = LooseRecords()
-        self.size = 0
         self.end_of_intact = 0  # offset behind the last intact piece
-        with self._mapped() as data:
+        self._indexed: set[tuple[int, ...]] = set()  # the chunks that the summary names
+        with FileBytes(path) as data:
             self.size = len(data)
+            if not self.size:
+                raise RecordingError(f"{path} is empty: there is nothing to recover.")
+            self._begun = data[: len(MAGIC)] == MAGIC
             self._read_summary(data)
 
     def pieces(self) -> Iterator[Salvaged | Damaged]:
         """Yield every intact piece and every damaged chunk in the file's order."""
-        with self._mapped() as data:
-            at = freed = len(MAGIC)
-            yield from self._loose(data, at)
-            while (match := _CHUNK.search(data, at)) is not None:
-                offset = match.start()
-                end = _end_of_chunk(data, offset)
-                if end is None:
-                    at = offset + 1
-                    continue
-                piece = _proved(data, offset, end)
-                yield piece
-                if isinstance(piece, Salvaged):
-                    at = self.end_of_intact = end
-                else:
-                    at = offset + 1  # its length may be what is damaged
-                yield from self._loose(data, end)
-                if at - freed >= _FREED_AT_ONCE:  # what was read need not stay in memory
-                    data.madvise(mmap.MADV_DONTNEED, 0, at // mmap.PAGESIZE * mmap.PAGESIZE)
-                    freed = at
+        with FileBytes(self.path) as data:
+            at = yield from self._follow(data, len(MAGIC), searched=False)
+            if not self._begun:
+                at = 0
+            while (found := self._search(data, at)) is not None:
+                at = yield from self._follow(data, found, searched=True)
 
-    def _mapped(self) -> mmap.mmap:
+    def _follow(self, data: FileBytes, start: int, searched: bool) -> Generator[Salvaged | Damaged, None, int]:
+        """Yield the pieces of a row of records; returns from where on to search for the next one.
+
+        In a row that was searched for, only chunks of the index count where there is one.
+        """
+        at, run = start + searched, bytearray()
         try:
-            with open(self.path, "rb") as stream:
-                if os.fstat(stream.fileno()).st_size == 0:
-                    raise RecordingError(f"{self.path} is empty: there is nothing to recover.")
-                return mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
-        except (OSError, ValueError) as error:
-            raise RecordingError(f"Cannot read {self.path}: {getattr(error, 'strerror', error)}.") from None
-
-    def _loose(self, data: mmap.mmap, start: int) -> Iterator[Salvaged]:
-        """Take the records outside chunks from an offset on, as far as they can be followed."""
-        at, run = start, bytearray()
-        while at + _RECORD.size <= len(data):
-            opcode, length = _RECORD.unpack_from(data, at)
-            if opcode not in _LOOSE or length > len(data) - at - _RECORD.size:
-                break
-            end = at + _RECORD.size + length
-            if opcode == Opcode.MESSAGE:
-                run += data[at:end]
-                if len(run) >= _RUN_BYTES:
-                    yield Salvaged(at, bytes(run), proved=False)
+            for opcode, body, end in iter_records(data, start):
+                if run and (opcode != Opcode.MESSAGE or len(run) >= _RUN_BYTES):
+                    yield Salvaged(bytes(run), proved=False)
                     run.clear()
-                self.end_of_intact = end
-            elif opcode not in (Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT):
-                self._take(opcode, data[at + _RECORD.size : end])
-            at = end
+                at = body - HEAD.size + 1  # unless the record is left behind, the search goes on within it
+                believed = _record_may_begin(data, end)
+                if opcode == Opcode.MESSAGE:
+                    run += data[body - HEAD.size : end]
+                    self.end_of_intact = end
+                elif opcode == Opcode.CHUNK:
+                    head = _chunk_head(data, body, end)
+                    if head is None or (searched and self._indexed and _signature(head) not in self._indexed):
+                        break
+                    piece = _chunk(data[body:end])
+                    yield piece
+                    if isinstance(piece, Salvaged):
+                        believed, self._begun, self.end_of_intact = True, True, end
+                elif opcode == Opcode.ATTACHMENT:
+                    believed = believed or _attachment_fits(data[body:end])
+                elif believed and opcode in _TAKEN:
+                    self._take(opcode, data[body:end])
+                if not believed:
+                    break
+                at = end
+        except BrokenRecordError:
+            pass  # what follows is searched
         if run:
-            yield Salvaged(at, bytes(run), proved=False)
+            yield Salvaged(bytes(run), proved=False)
+        return at
 
-    def _take(self, opcode: int, body: bytes, proved: bool = False) -> None:
+    def _search(self, data: FileBytes, at: int) -> int | None:
+        """Return where the next chunk begins; a whole file within this one is passed over."""
+        while (found := _next_shape(data, at)) is not None:
+            if data[found : found + 1] != MAGIC[:1]:
+                return found
+            at = found + len(MAGIC)
+            if not self._begun:  # the file's own beginning, out of place
+                self._begun = True
+                return at
+            self.loose.files_within += 1
+            at = _end_of_row(data, at)
+        return None
+
+    def _take(self, opcode: int, body: bytes) -> None:
         """Take one record; of two with the same number the one from a proved summary counts."""
-        loose, stream = self.loose, ReadDataStream(io.BytesIO(body))
         try:
-            if opcode == Opcode.HEADER:
-                loose.library = loose.library or Header.read(stream).library
-            elif opcode == Opcode.SCHEMA:
-                schema = Schema.read(stream)
-                loose.schemas = {schema.id: schema} | loose.schemas
-            elif opcode == Opcode.CHANNEL:
-                channel = Channel.read(stream)
-                loose.channels = {channel.id: channel} | loose.channels
-            elif opcode == Opcode.METADATA:
-                record = Metadata.read(stream)
-                loose.metadata.append((record.name, record.metadata))
-            elif opcode == Opcode.STATISTICS and proved:
-                loose.statistics = Statistics.read(stream)
-        except Exception:  # mcap raises many kinds on damaged bytes; such a record is no loss of samples
-            return
+            self._take_parsed(parse_record(opcode, body))
+        except BrokenRecordError:
+            return  # such a record is no loss of samples
 
-    def _read_summary(self, data: mmap.mmap) -> None:
-        ending = data[-_ENDING:]
-        if len(ending) != _ENDING or ending[-len(MAGIC) :] != MAGIC or ending[0] != Opcode.FOOTER:
+    def _take_parsed(self, record: McapRecord) -> None:
+        loose = self.loose
+        if isinstance(record, Header):
+            loose.library = loose.library or record.library
+        elif isinstance(record, Schema):
+            loose.schemas.setdefault(record.id, record)
+        elif isinstance(record, Channel):
+            loose.channels.setdefault(record.id, record)
+        elif isinstance(record, Metadata):
+            loose.metadata.append((record.name, record.metadata))
+
+    def _read_summary(self, data: FileBytes) -> None:
+        footer = read_footer(data)
+        if footer is None:
             return
         self.loose.closed = True
-        footer = Footer.read(ReadDataStream(io.BytesIO(ending[9:29])))
-        start, stop = footer.summary_start, len(data) - _ENDING
-        if not 0 < start <= stop or not footer.summary_crc:
+        start = _start_of_summary(data, footer)
+        if start is None:
             return
-        crc = 0
-        for at in range(start, len(data) - len(MAGIC) - 4, _RUN_BYTES):
-            crc = zlib.crc32(data[at : min(at + _RUN_BYTES, len(data) - len(MAGIC) - 4)], crc)
-        if crc != footer.summary_crc:
-            return
-        summary = data[start:stop]
-        for opcode, first, end in iter_records(summary):
-            self._take(opcode, summary[first:end], proved=True)
+        try:
+            for record in read_records(data, _SUMMARY, start, len(data) - ENDING):
+                if isinstance(record, Statistics):
+                    self.loose.statistics = record
+                elif isinstance(record, ChunkIndex):
+                    times = (record.message_start_time, record.message_end_time)
+                    self._indexed.add((*times, record.uncompressed_size, record.compressed_size))
+                else:
+                    self._take_parsed(record)
+        except BrokenRecordError:
+            return  # what came before it counts
 
 
-def _end_of_chunk(data: mmap.mmap, offset: int) -> int | None:
-    """Return where the chunk record at an offset ends; None where its sizes contradict one another or the file."""
-    _, length = _RECORD.unpack_from(data, offset)
-    body = offset + _RECORD.size
-    end = body + length
-    name = body + _CHUNK_HEAD.size + 4
-    if end > len(data) or name + 8 > len(data):
+def _start_of_summary(data: FileBytes, footer: Footer) -> int | None:
+    """Return where the summary begins; None where no checksum vouches for it. Bytes lost or added before it move it."""
+    fits = summary_fits(data, footer)
+    if fits is not False:
+        return footer.summary_start if fits else None
+    low, stop = max(len(data) - _MAX_SUMMARY, 0), len(data) - len(MAGIC)
+    tail = data[low:stop]
+    place = len(tail)
+    for _ in range(_MAX_TRIES):
+        place = tail.rfind(_DATA_END, 0, place)
+        if place < 0:
+            break
+        start = low + place + len(_DATA_END) + 4
+        if data.checksum(start, stop - 4) == footer.summary_crc:
+            return start
+    return None
+
+
+def _record_may_begin(data: FileBytes, at: int) -> bool:
+    """Whether the bytes at an offset look like a record, or the file ends there."""
+    head = data[at : at + HEAD.size]
+    if len(head) < HEAD.size or head.startswith(MAGIC):
+        return True
+    opcode, length = HEAD.unpack(head)
+    return bool(0 < opcode <= _LAST_OPCODE and length < 2**32)
+
+
+def _chunk_head(data: FileBytes, start: int, end: int) -> ChunkHead | None:
+    """Return the head of a chunk record's body; None where its sizes contradict one another: it is no chunk."""
+    try:
+        head = read_chunk_head(data[start : min(start + _SHAPE_BYTES + 8, end)])
+    except BrokenRecordError:
         return None
-    _, _, raw_size, _ = _CHUNK_HEAD.unpack_from(data, body)
-    name_size = int.from_bytes(data[name - 4 : name], "little")
-    packed = int.from_bytes(data[name + name_size : name + name_size + 8], "little")
-    fits = name + name_size + 8 + packed == end and raw_size <= MAX_CHUNK_BYTES
-    return end if fits and (name_size or packed == raw_size) else None
+    fits = head.end == end - start and (head.compression != b"" or head.raw_size == head.end - head.start)
+    return head if fits else None
 
 
-def _proved(data: mmap.mmap, offset: int, end: int) -> Salvaged | Damaged:
-    body = data[offset + _RECORD.size : end]
-    start_time, end_time, _, crc = _CHUNK_HEAD.unpack_from(body, 0)
+def _signature(head: ChunkHead) -> tuple[int, ...]:
+    return head.start_time, head.end_time, head.raw_size, head.end - head.start
+
+
+def _chunk(body: bytes) -> Salvaged | Damaged:
     try:
         records = unpack_chunk(body)
         for _ in iter_records(records):  # without a checksum, at least the records must follow one another
             pass
-    except RecordingError:
-        return Damaged(offset, end - offset, start_time, end_time)
-    return Salvaged(offset, records, proved=crc != 0)
+    except BrokenRecordError:
+        return Damaged()
+    return Salvaged(records, proved=read_chunk_head(body).crc != 0)
+
+
+def _attachment_fits(body: bytes) -> bool:
+    return zlib.crc32(body[:-4]) == int.from_bytes(body[-4:], "little")
+
+
+def _next_shape(data: FileBytes, at: int) -> int | None:
+    """Return the offset of what looks like a chunk or like the beginning of a file, from an offset on."""
+    window = _FIRST_WINDOW
+    while at < len(data):
+        match = _SHAPE.search(data[at : at + window + _SHAPE_BYTES])
+        if match is not None:
+            return at + match.start()
+        at += window
+        window = min(2 * window, _WINDOW)
+    return None
+
+
+def _end_of_row(data: FileBytes, start: int) -> int:
+    """Return where the records from an offset on cannot be followed any more."""
+    at = start
+    try:
+        for _, _, end in iter_records(data, start):
+            if not _record_may_begin(data, end):
+                break
+            at = end
+    except BrokenRecordError:
+        pass
+    return at

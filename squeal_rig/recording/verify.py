@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from squeal_rig.errors import RecordingError
 
 from .bag_metadata import BagMetadata, read_metadata
+from .findings import Verdict
 from .gaps import CLOUD_TYPE, SampleCount
 from .mcap_index import FileIndex, index_file
 from .messages import Decode, decoder_of
@@ -17,48 +18,9 @@ from .reader import Bag, find_files
 from .schemas import MessageSchema, installed_schema
 from .sealed import is_intact
 from .verify_file import FileChecker
+from .writer import is_numbered
 
-_MAX_FINDINGS = 200
 _OUT_OF_ORDER = 10**9  # [ns]
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One thing that is wrong (`error`) or worth knowing (`warning`), and where."""
-
-    level: str
-    where: str
-    sentence: str
-
-
-@dataclass
-class Verdict:
-    """What a bag was found to be; sound when there is no error."""
-
-    findings: list[Finding] = field(default_factory=list)
-    messages: int = 0
-    bytes: int = 0
-    samples: dict[str, SampleCount] = field(default_factory=dict)
-    left_out: int = 0
-
-    @property
-    def sound(self) -> bool:
-        """Whether no error was found."""
-        return not any(finding.level == "error" for finding in self.findings)
-
-    def error(self, where: str, sentence: str) -> None:
-        """Note something wrong."""
-        self._add("error", where, sentence)
-
-    def warn(self, where: str, sentence: str) -> None:
-        """Note something worth knowing."""
-        self._add("warning", where, sentence)
-
-    def _add(self, level: str, where: str, sentence: str) -> None:
-        if len(self.findings) < _MAX_FINDINGS:
-            self.findings.append(Finding(level, where, sentence))
-        else:
-            self.left_out += 1
 
 
 @dataclass
@@ -88,7 +50,7 @@ def verify(path: str | Path) -> Verdict:
     Raises RecordingError only where there is no bag at all.
     """
     path = Path(path)
-    verdict = Verdict()
+    verdict = Verdict(path)
     files = find_files(path)
     topics: dict[str, _Topic] = {}
     indexes: list[FileIndex] = []
@@ -113,7 +75,7 @@ def verify(path: str | Path) -> Verdict:
 def _check_file(index: FileIndex, topics: dict[str, _Topic], verdict: Verdict) -> None:
     """Take one file's messages; checksums and indexes are the checker's."""
     checker = FileChecker(index)
-    numbered = checker.numbered
+    numbered = is_numbered(index.library)
     for message in checker.messages():
         channel = index.channels.get(message.channel_id)
         schema = None if channel is None else index.schemas.get(channel.schema_id)

@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
-import io
-import zlib
+import struct
 from collections.abc import Iterator
-from struct import Struct
-from typing import BinaryIO
 
-from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Channel, ChunkIndex, DataEnd, Header, MessageIndex, Schema
+from mcap.records import Channel, ChunkIndex, DataEnd, Schema
 
-from squeal_rig.errors import RecordingError
+from .chunks import ChunkMessage, iter_messages, read_chunk_head, unpack_chunk
+from .mcap_index import FileIndex
+from .records import (
+    DEFINITIONS,
+    HEAD,
+    INDEX,
+    INDEX_ENTRY,
+    MAGIC,
+    BrokenRecordError,
+    FileBytes,
+    iter_records,
+    parse_record,
+    read_footer,
+    read_records,
+)
 
-from .chunks import ChunkMessage, iter_definitions, iter_records, unpack_chunk
-from .mcap_file import MAGIC
-from .mcap_index import FileIndex, iter_file_records, parse_record
-
-_RECORD = Struct("<BQ")
-_BODY = Struct("<HIQQ")
-_CHUNK_TIMES = Struct("<QQ")
-_PIECE = 1 << 20
 _MAX_FAULTS = 50
 
 
@@ -34,75 +36,58 @@ class FileChecker:
         self._counts: dict[int, int] = {}
         self._entries: dict[int, set[tuple[int, int]]] = {}  # channel -> (log time, offset) in the last chunk
         self._unindexed: set[int] = set()
-        self._chunks = 0
-        with open(index.path, "rb") as stream:
-            self._size = stream.seek(0, io.SEEK_END)
-            self._chunk_indexes = {entry.chunk_start_offset: entry for entry in self._summary(stream)}
-
-    @property
-    def numbered(self) -> bool:
-        """Whether the writer numbers messages one by one, as ours does."""
-        with open(self.index.path, "rb") as stream:
-            stream.seek(len(MAGIC))
-            _, length = _RECORD.unpack(stream.read(_RECORD.size))
-            header: Header = parse_record(self.index.path, Header.read, stream.read(length))
-        return header.library.startswith("squeal_rig")
+        self._chunk_indexes: dict[int, ChunkIndex] = {}
 
     def messages(self) -> Iterator[ChunkMessage]:
         """Yield the messages in the file's order; `faults` is complete afterwards."""
-        path = self.index.path
-        with open(path, "rb") as stream:
-            crc_end, crc = 0, None
+        with FileBytes(self.index.path) as data:
+            self._read_summary(data)
+            end: tuple[int, int] | None = None  # where the data section ends, and its checksum
             try:
-                for opcode, offset, length in iter_file_records(path, stream, len(MAGIC), self._size - len(MAGIC)):
+                for opcode, start, after in iter_records(data, len(MAGIC), len(data) - len(MAGIC)):
                     if opcode == Opcode.DATA_END:
-                        stream.seek(offset)
-                        ending: DataEnd = parse_record(path, DataEnd.read, stream.read(length))
-                        crc_end, crc = offset - _RECORD.size, ending.data_section_crc
+                        record = parse_record(opcode, data[start:after])
+                        assert isinstance(record, DataEnd)
+                        end = start - HEAD.size, record.data_section_crc
                         break
-                    yield from self._record(stream, opcode, offset, length)
-            except RecordingError as error:
+                    yield from self._record(opcode, start, data, after)
+            except BrokenRecordError as error:
                 self._fault(str(error))
             self._unindexed_left()
-            if crc is None:
+            if end is None:
                 self._fault("the data section has no end")
-            elif crc and _crc_of(stream, crc_end) != crc:
+            elif end[1] and data.checksum(0, end[0]) != end[1]:
                 self._fault("the checksum of the data section does not fit")
         self._compare_totals()
 
-    def _record(self, stream: BinaryIO, opcode: int, offset: int, length: int) -> Iterator[ChunkMessage]:
-        path = self.index.path
+    def _record(self, opcode: int, start: int, data: FileBytes, end: int) -> Iterator[ChunkMessage]:
         if opcode == Opcode.CHUNK:
             self._unindexed_left()
-            stream.seek(offset)
-            yield from self._chunk(stream.read(length), offset - _RECORD.size)
+            yield from self._chunk(data[start:end], start - HEAD.size)
         elif opcode == Opcode.MESSAGE_INDEX:
-            stream.seek(offset)
-            self._message_index(parse_record(path, MessageIndex.read, stream.read(length)))
+            self._message_index(data[start:end])
         elif opcode == Opcode.MESSAGE:
-            stream.seek(offset)
-            data = stream.read(length)
-            if length < _BODY.size:
-                self._fault(f"a message at byte {offset} is cut short")
-                return
-            message = _message(data, 0, length)
-            self._count(message)
-            yield message
+            for message in iter_messages(data[start - HEAD.size : end]):
+                self._count(message)
+                yield message
 
     def _chunk(self, body: bytes, offset: int) -> Iterator[ChunkMessage]:
         where = f"the chunk at byte {offset}"
-        self._chunks += 1
         self._entries = {}
         try:
             raw = unpack_chunk(body)
-            self._definitions(raw, where)
-            messages = list(self._messages_of(raw))
-        except RecordingError as error:
+            self._compare_definitions(raw, where)
+            messages = list(iter_messages(raw))
+        except BrokenRecordError as error:
             self._fault(f"{where} is damaged: {error}")
             return
+        places = (start - HEAD.size for opcode, start, _ in iter_records(raw) if opcode == Opcode.MESSAGE)
+        for message, place in zip(messages, places, strict=True):
+            self._entries.setdefault(message.channel_id, set()).add((message.log_time, place))
+            self._count(message)
         self._unindexed = set(self._entries)
         times = [message.log_time for message in messages]
-        claimed = _CHUNK_TIMES.unpack_from(body)
+        claimed = read_chunk_head(body)[:2]
         if times and claimed != (min(times), max(times)):
             self._fault(f"{where} gives other times than its messages have")
         entry = self._chunk_indexes.pop(offset, None)
@@ -113,32 +98,24 @@ class FileChecker:
             self._fault(f"{where} is described wrongly by the index of the file")
         yield from messages
 
-    def _messages_of(self, raw: bytes) -> Iterator[ChunkMessage]:
-        for opcode, start, end in iter_records(raw):
-            if opcode == Opcode.MESSAGE:
-                if end - start < _BODY.size:
-                    raise RecordingError("a message record is cut short")
-                message = _message(raw, start, end)
-                self._entries.setdefault(message.channel_id, set()).add((message.log_time, start - _RECORD.size))
-                self._count(message)
-                yield message
-
-    def _definitions(self, raw: bytes, where: str) -> None:
+    def _compare_definitions(self, raw: bytes, where: str) -> None:
         """Definitions in a chunk must be those of the summary."""
-        for record in iter_definitions(raw):
-            known: Schema | Channel | None
-            if isinstance(record, Schema):
-                known = self.index.schemas.get(record.id)
-            else:
-                known = self.index.channels.get(record.id)
-            if known is not None and known != record:
+        for record in read_records(raw, DEFINITIONS):
+            assert isinstance(record, Schema | Channel)
+            known = self.index.schemas if isinstance(record, Schema) else self.index.channels
+            if known.get(record.id, record) != record:
                 self._fault(f"{where} defines {type(record).__name__.lower()} {record.id} otherwise than the summary")
 
-    def _message_index(self, index: MessageIndex) -> None:
-        found = self._entries.get(index.channel_id)
-        self._unindexed.discard(index.channel_id)
-        if found is not None and {(int(time), int(at)) for time, at in index.records} != found:
-            self._fault(f"the message index of channel {index.channel_id} does not fit its chunk")
+    def _message_index(self, body: bytes) -> None:
+        try:
+            channel_id, size = INDEX.unpack_from(body)
+            entries = set(INDEX_ENTRY.iter_unpack(body[INDEX.size : INDEX.size + size]))
+        except struct.error:
+            raise BrokenRecordError("a message index is cut short") from None
+        found = self._entries.get(channel_id)
+        self._unindexed.discard(channel_id)
+        if found is not None and entries != found:
+            self._fault(f"the message index of channel {channel_id} does not fit its chunk")
 
     def _unindexed_left(self) -> None:
         if self._unindexed:
@@ -159,31 +136,13 @@ class FileChecker:
             if found and (channel is None or channel.schema_id not in self.index.schemas):
                 self._fault(f"channel {channel_id} has {found} messages and no definition")
 
-    def _summary(self, stream: BinaryIO) -> Iterator[ChunkIndex]:
-        """Yield the chunk indexes of the summary."""
-        path = self.index.path
-        stream.seek(self._size - len(MAGIC) - 20)
-        start = int.from_bytes(stream.read(8), "little")
-        if start:
-            for opcode, offset, length in iter_file_records(path, stream, start, self._size - len(MAGIC)):
-                if opcode == Opcode.CHUNK_INDEX:
-                    stream.seek(offset)
-                    yield ChunkIndex.read(ReadDataStream(io.BytesIO(stream.read(length))))
+    def _read_summary(self, data: FileBytes) -> None:
+        footer = read_footer(data)
+        if footer is not None and footer.summary_start:
+            for record in read_records(data, {Opcode.CHUNK_INDEX}, footer.summary_start, len(data) - len(MAGIC)):
+                assert isinstance(record, ChunkIndex)
+                self._chunk_indexes[record.chunk_start_offset] = record
 
     def _fault(self, sentence: str) -> None:
         if len(self.faults) < _MAX_FAULTS:
             self.faults.append(sentence)
-
-
-def _message(data: bytes, start: int, end: int) -> ChunkMessage:
-    channel_id, sequence, log_time, publish_time = _BODY.unpack_from(data, start)
-    return ChunkMessage(channel_id, sequence, log_time, publish_time, data[start + _BODY.size : end])
-
-
-def _crc_of(stream: BinaryIO, end: int) -> int:
-    stream.seek(0)
-    crc, left = 0, end
-    while left > 0 and (part := stream.read(min(left, _PIECE))):
-        crc = zlib.crc32(part, crc)
-        left -= len(part)
-    return crc

@@ -25,10 +25,16 @@ from .qos_yaml import QosProfile, qos_to_yaml
 from .schemas import MessageSchema, full_type_name, installed_schema
 from .sealed import PROVENANCE, sealed
 
-LIBRARY = f"squeal_rig {__version__}"
 MAX_TIME = 2**63 - 1  # rosbag2 keeps times as int64 [ns]
+_OURS = "squeal_rig"
+LIBRARY = f"{_OURS} {__version__}"
 _MAX_CHANNELS = 2**16 - 1
 _SEQUENCE_MASK = 2**32 - 1
+
+
+def is_numbered(library: str) -> bool:
+    """Whether the writer of a file numbers the messages of a topic one by one, as ours does."""
+    return library.startswith(_OURS)
 
 
 @dataclass

@@ -1,4 +1,4 @@
-"""What the commands about bags tell, in words."""
+"""What was computed again from a bag, in words."""
 
 from __future__ import annotations
 
@@ -6,19 +6,6 @@ from pathlib import Path
 
 from squeal_rig.analysis.estimate import compare_estimates, estimate_bag
 from squeal_rig.recording import Bag
-from squeal_rig.recording.verify import verify
-
-
-def verdict_text(path: Path | str) -> tuple[str, bool]:
-    """Findings on a bag, one a line, and whether it is sound."""
-    verdict = verify(path)
-    lines = [f"{finding.level}: {finding.where}: {finding.sentence}" for finding in verdict.findings]
-    if verdict.left_out:
-        lines.append(f"... and {verdict.left_out} more")
-    samples = sum(count.samples for count in verdict.samples.values())
-    seen = f"{verdict.messages} messages, {samples} samples, {verdict.bytes / 1e6:.1f} MB"
-    lines.append(f"{'sound' if verdict.sound else 'NOT sound'}: {seen} checked in {path}")
-    return "\n".join(lines), verdict.sound
 
 
 def estimate_text(source: Path | str, directory: Path | str) -> str:
