@@ -14,6 +14,9 @@ from squeal_rig.model.core.layout import K1, K2, NORMAL, SAMPLE_SIZE, TANGENTIAL
 from squeal_rig.model.motion.trajectory import Motion, resting_state, validity_warnings
 from squeal_rig.model.parameters import RigParameters
 
+#: Steps of the engine in a block of 10 ms, after which the rig has a fault: about a second of work.
+_BUDGET = 1_000_000
+
 
 class VirtualRig:
     """Driver `virtual`: integrates Eq. (2.3) block by block; the DAQ channels carry the true values."""
@@ -26,7 +29,7 @@ class VirtualRig:
     def open(self, parameters: RigParameters, settings: RigSettings) -> None:
         """Put the pad at rest on the belt and load the compiled model."""
         self._settings = settings
-        self._motion = Motion(parameters, settings.sample_rate)
+        self._motion = Motion(parameters, settings.sample_rate, budget=_BUDGET)
         self._states = np.empty((settings.block_size, SAMPLE_SIZE))
         self._take(parameters)
         # Loading or compiling takes seconds the first time: here, not in the first timed block.

@@ -9,6 +9,7 @@ from squeal_rig.model import (
     contact_events,
     displaced_state,
     eigenvalues,
+    energy_balance,
     equilibrium,
     simulate,
     simulate_many,
@@ -106,3 +107,19 @@ def test_no_runs_give_no_summaries():
 def test_bad_arguments_are_refused_with_a_sentence(arguments, sentence):
     with pytest.raises(ParameterError, match=sentence):
         simulate_many([SQUEALING], **arguments)
+
+
+def test_a_run_that_fails_leaves_no_samples_of_another_run():
+    # Friction that falls with the slip without end, and a pad that hardly anything holds.
+    lost = RigParameters().replace(pad_stiffness=0.0, k3=1.0, k4=1.0, friction_speed="slip", mu_speed=-10.0)
+    ensemble = simulate_many([lost], 3.0, sample_rate=8192.0, traces=True)
+    assert ensemble.summaries["status"][0] != 0
+    assert np.isnan(ensemble.traces[0, -1]).all()
+    finite = np.isfinite(ensemble.traces[0]).all(axis=1)
+    # Whole blocks or nothing: no row between is half filled.
+    assert not finite[np.argmin(finite) :].any()
+
+
+def test_energy_of_a_negative_time_is_refused():
+    with pytest.raises(ParameterError, match=r"^duration = -1.0 s is out of bounds: it must be above 0 s$"):
+        energy_balance(SQUEALING, -1.0)

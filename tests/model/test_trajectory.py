@@ -255,3 +255,27 @@ def test_a_quiet_run_has_no_warnings():
     run = simulate(RigParameters(), 0.1)
     assert run.warnings == ()
     assert validity_warnings(RigParameters(), np.empty((0, SAMPLE_SIZE))) == []
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"mass": 1e-3, "contact_stiffness": 1e12},
+        {"damping_x": 1e6, "damping_y": 1e6, "mass": 1e-3},
+        {"friction_direction": "slip", "regularization_speed": 1e-6, "belt_speed": 0.0},
+    ],
+    ids=["stiff", "damped", "sharp"],
+)
+def test_a_block_that_would_take_too_long_is_given_up_with_a_sentence(changes):
+    p = SQUEALING.replace(**changes)
+    motion = Motion(p, 51200.0, displaced_state(p, 3.0), budget=20_000)
+    with pytest.raises(ModelError, match=r"^the motion changes too fast: it used up its budget of steps \S+ s into"):
+        motion.advance(np.empty((512, SAMPLE_SIZE)))
+
+
+def test_a_budget_that_is_enough_changes_nothing():
+    start = displaced_state(SQUEALING, 3.0)
+    free, bound = np.empty((512, SAMPLE_SIZE)), np.empty((512, SAMPLE_SIZE))
+    Motion(SQUEALING, 51200.0, start).advance(free)
+    Motion(SQUEALING, 51200.0, start, budget=100_000).advance(bound)
+    assert free.tobytes() == bound.tobytes()

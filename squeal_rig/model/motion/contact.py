@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from squeal_rig.errors import ModelError, ParameterError
+from squeal_rig.errors import ModelError
 from squeal_rig.model.core.layout import SAMPLE_SIZE, Vector, pack
 from squeal_rig.model.motion import exact
 from squeal_rig.model.motion.propagator import propagators, substeps_needed
-from squeal_rig.model.motion.trajectory import displaced_state
+from squeal_rig.model.motion.trajectory import checked_state, displaced_state, refuse_unless_positive
 from squeal_rig.model.parameters import RigParameters
 
 _BLOCK = 1024
@@ -48,12 +48,8 @@ def contact_events(
         ParameterError: an argument is out of its bounds.
         ModelError: no equilibrium in contact to start from, or the motion left every bound.
     """
-    for name, value, unit in (("duration", duration, "s"), ("sample_rate", sample_rate, "Hz")):
-        if not (math.isfinite(value) and value > 0.0):
-            raise ParameterError(f"{name} = {value} {unit} is out of bounds: it must be above 0 {unit}")
-    state = np.array(displaced_state(p, 0.1) if initial_state is None else initial_state, dtype=np.float64)
-    if state.shape != (4,) or not np.isfinite(state).all():
-        raise ParameterError(f"initial_state = {initial_state!r} must be four finite numbers: x, y [m], vx, vy [m/s]")
+    refuse_unless_positive(duration=(duration, "s"), sample_rate=(sample_rate, "Hz"))
+    state = displaced_state(p, 0.1) if initial_state is None else checked_state(initial_state)
     q, flow, w = pack(p), exact.empty_flow(), exact.workspace()
     interval = 1.0 / sample_rate
     substeps = substeps_needed(q, interval, interval)

@@ -30,7 +30,7 @@ from squeal_rig.model.motion import exact
 from squeal_rig.model.motion.exact import MAX_PIECES, follow_piece, next_piece
 from squeal_rig.model.motion.propagator import propagators, substeps_needed
 from squeal_rig.model.motion.series import evaluate
-from squeal_rig.model.motion.trajectory import displaced_state
+from squeal_rig.model.motion.trajectory import checked_state, displaced_state, refuse_unless_positive
 from squeal_rig.model.parameters import RigParameters
 
 _BLOCK = 512
@@ -113,13 +113,15 @@ def energy_balance(
         initial_state: (x, y, vx, vy) [m, m/s]; as in `simulate` when None.
 
     Raises:
+        ParameterError: an argument is out of its bounds.
         ModelError: no equilibrium in contact to start from, or the motion left every bound.
     """
+    refuse_unless_positive(duration=(duration, "s"), sample_rate=(sample_rate, "Hz"))
     q, flow, w = pack(p), exact.empty_flow(), exact.workspace()
     interval = 1.0 / sample_rate
     substeps = substeps_needed(q, interval, interval)
     propagators(q, interval / substeps, flow)
-    state = np.array(displaced_state(p, 0.1) if initial_state is None else initial_state, dtype=np.float64)
+    state = displaced_state(p, 0.1) if initial_state is None else checked_state(initial_state)
     start = state.copy()
     tally, events, sums = np.zeros(exact.TALLY_SIZE), np.empty((0, 2)), np.zeros(3)
     block, largest = np.empty((_BLOCK, SAMPLE_SIZE)), 0.0

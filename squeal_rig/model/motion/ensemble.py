@@ -21,6 +21,7 @@ from squeal_rig.model.core.statics import FOUND, rest_position
 from squeal_rig.model.motion.exact import CONTACT_TIME, DONE, SEPARATIONS, TALLY_SIZE, advance
 from squeal_rig.model.motion.propagator import FLOW_SIZE, propagators, substeps_needed
 from squeal_rig.model.motion.series import MAX_ORDER, ROWS
+from squeal_rig.model.motion.trajectory import refuse_unless_positive
 from squeal_rig.model.parameters import RigParameters
 
 #: What `status` of a run means; above 0 the run has no numbers (nan).
@@ -28,9 +29,10 @@ STATUS = (
     "done",
     "the motion left every bound",
     "the motion changes too fast to be followed",
+    "the motion used up its budget of steps",
     "no equilibrium in contact to start from",
 )
-_NO_EQUILIBRIUM = 3
+_NO_EQUILIBRIUM = 4
 # Order of the columns the kernel fills.
 _COLUMNS = (
     "peak_x",
@@ -60,7 +62,7 @@ class Ensemble:
       for fewer than two such blocks. Near zero on a limit cycle: what it says depends on the window
     - contact_loss_time [s], contact_share, separations: exact, from the contact events
     - status: index into `STATUS`
-    `traces`, where asked for: float64 (runs, samples, 6), x, y, vx, vy, N, F_t.
+    `traces`, where asked for: float64 (runs, samples, 6), x, y, vx, vy, N, F_t; nan from where a run failed.
     """
 
     summaries: NDArray[np.void]
@@ -91,9 +93,7 @@ def simulate_many(
     Raises:
         ParameterError: an argument is out of its bounds. A run that fails says so in its status.
     """
-    for name, value, unit in (("duration", duration, "s"), ("sample_rate", sample_rate, "Hz")):
-        if not (math.isfinite(value) and value > 0.0):
-            raise ParameterError(f"{name} = {value} {unit} is out of bounds: it must be above 0 {unit}")
+    refuse_unless_positive(duration=(duration, "s"), sample_rate=(sample_rate, "Hz"))
     if not (math.isfinite(settle) and settle >= 0.0):
         raise ParameterError(f"settle = {settle} s is out of bounds: it must be 0 s or more")
     if threads is not None and threads < 1:
@@ -166,7 +166,7 @@ def _summarise(
                 break
             part = block[: min(_BLOCK, samples - first)]
             ended, _ = advance(state, q, flow, substeps, w, tally, events, part)
-            if kept.shape[0] > 0:
+            if kept.shape[0] > 0 and ended == DONE:
                 kept[run, first : first + part.shape[0]] = part
             _add_block(part, first, x, y, previous, sums)
             previous = part[part.shape[0] - 1, 0]

@@ -59,10 +59,10 @@ from squeal_rig.model.motion.series import (
 #: Columns of a recorded event: time from the start of the block [s], vy [m/s] (above 0: the pad leaves the belt).
 EVENT_TIME, EVENT_SPEED = 0, 1
 # What is counted over a block.
-CONTACT_TIME, SEPARATIONS, EVENTS, SINCE = range(4)
-TALLY_SIZE = 4
+CONTACT_TIME, SEPARATIONS, EVENTS, SINCE, PIECES, BUDGET = range(6)
+TALLY_SIZE = 6
 #: How a block ended.
-DONE, NOT_FINITE, STUCK = 0, 1, 2
+DONE, NOT_FINITE, STUCK, OVER_BUDGET = range(4)
 
 _CACHE_LINE = 8  # numbers in it
 # Beyond the near range; rate times step is at most 0.25, faster changes shorten the step.
@@ -92,6 +92,8 @@ def refuse_unless_done(ended: int, time: float) -> None:
     """
     if ended == NOT_FINITE:
         raise ModelError(f"the motion left every bound {time:.4g} s into the block: no state to go on from")
+    if ended == OVER_BUDGET:
+        raise ModelError(f"the motion changes too fast: it used up its budget of steps {time:.4g} s into the block")
     if ended == STUCK:
         raise ModelError(
             f"the motion cannot be followed {time:.4g} s into the block:"
@@ -183,7 +185,9 @@ def careful_step(
 ) -> int:
     """Carry `state` over h [s] through every event on the way; `start` is the time in the block [s]."""
     rest = h
-    for _ in range(MAX_PIECES):
+    allowed = MAX_PIECES if tally[BUDGET] == 0.0 else int(min(MAX_PIECES, max(1.0, tally[BUDGET] - tally[PIECES])))
+    for _ in range(allowed):
+        tally[PIECES] += 1.0
         share, order, what = next_piece(state, q, flow, rest, w)
         if not share > 0.0:
             break
@@ -196,7 +200,9 @@ def careful_step(
     # NaN fails this too.
     if not (abs(state[0]) + abs(state[1]) <= _BEYOND_M and abs(state[2]) + abs(state[3]) <= _BEYOND_M_S):
         return NOT_FINITE
-    return DONE if rest <= 0.0 else STUCK
+    if rest <= 0.0:
+        return DONE
+    return STUCK if allowed == MAX_PIECES else OVER_BUDGET
 
 
 @inlined_kernel
@@ -307,7 +313,8 @@ def advance(
         flow: their propagators.
         substeps: steps per output interval.
         w: workspace.
-        tally: contact time [s], separations and events are added up in it; event times in a block start at 0.
+        tally: contact time [s], separations and events are added up in it; event times in a block start at 0. With a
+            `BUDGET` above 0 the block is given up after so many steps and pieces.
         events: room (m, 2) for the first m events of the block.
         out: room for the samples.
 
@@ -316,8 +323,11 @@ def advance(
     """
     h = flow[STEP]
     contact = is_in_contact(state, q)
-    tally[SINCE], tally[EVENTS] = 0.0, 0.0
+    tally[SINCE], tally[EVENTS], tally[PIECES] = 0.0, 0.0, 0.0
     steps = out.shape[0] * substeps
+    budget = tally[BUDGET] if tally[BUDGET] > 0.0 else np.inf
+    if steps > budget:
+        return OVER_BUDGET, 0
     step = 0
     while True:
         step = _glide(state, q, flow, contact, substeps, step, steps, out)
@@ -325,6 +335,8 @@ def advance(
             break
         ended = careful_step(state, q, flow, step * h, h, w, tally, events)
         step += 1
+        if ended == DONE and steps + tally[PIECES] > budget:
+            ended = OVER_BUDGET
         if ended != DONE:
             return ended, (step - 1) // substeps + 1
         contact = is_in_contact(state, q)

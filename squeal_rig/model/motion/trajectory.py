@@ -47,6 +47,7 @@ class Motion:
         state: start (x, y, vx, vy) [m, m/s]; the equilibrium when None.
         engine: one of `ENGINES`.
         step: longest step [s]; when None `DEFAULT_STEP` for "rk4", no bound but its own for "exact".
+        budget: of the "exact" engine: steps and pieces between events after which a block is given up; None: no bound.
 
     Raises:
         ParameterError: an argument is out of its bounds.
@@ -60,19 +61,18 @@ class Motion:
         state: ArrayLike | None = None,
         engine: str = DEFAULT_ENGINE,
         step: float | None = None,
+        budget: int | None = None,
     ) -> None:
         if engine not in ENGINES:
             raise ParameterError(f"engine = {engine!r} is not known: it must be one of {', '.join(ENGINES)}")
-        if not (math.isfinite(sample_rate) and sample_rate > 0.0):
-            raise ParameterError(f"sample_rate = {sample_rate} Hz is out of bounds: it must be above 0 Hz")
-        if step is not None and not (math.isfinite(step) and step > 0.0):
-            raise ParameterError(f"step = {step} s is out of bounds: it must be above 0 s")
+        refuse_unless_positive(sample_rate=(sample_rate, "Hz"), step=(DEFAULT_STEP if step is None else step, "s"))
         self._engine = engine
         self._interval = 1.0 / sample_rate
         self._longest_step = step
         self._flow, self._workspace = exact.empty_flow(), exact.workspace()
         self._tally, self._events = np.zeros(exact.TALLY_SIZE), np.empty((0, 2))
-        self._state: Vector = resting_state(p) if state is None else _checked_state(state)
+        self._tally[exact.BUDGET] = budget or 0
+        self._state: Vector = resting_state(p) if state is None else checked_state(state)
         self.set_parameters(p)
 
     @property
@@ -94,7 +94,7 @@ class Motion:
 
     def set_state(self, state: ArrayLike) -> None:
         """Put the pad into the state (x, y, vx, vy) [m, m/s]."""
-        self._state = _checked_state(state)
+        self._state = checked_state(state)
 
     def kick(self, dvx: float, dvy: float) -> None:
         """Change the pad's velocity [m/s] at once: an impact of mass times that change."""
@@ -105,7 +105,7 @@ class Motion:
         """Fill `out` (n, 6) with x, y, vx, vy, N, F_t at the next n samples.
 
         Raises:
-            ModelError: the motion left every bound.
+            ModelError: the motion left every bound, or used up its budget.
         """
         if self._engine == "rk4":
             filled = rk4.advance(self._state, self._packed, self._interval, self._substeps, out)
@@ -161,8 +161,7 @@ def simulate(
         ParameterError: an argument is out of its bounds.
         ModelError: no equilibrium in contact to start from, or the motion left every bound.
     """
-    if not (math.isfinite(duration) and duration > 0.0):
-        raise ParameterError(f"duration = {duration} s is out of bounds: it must be above 0 s")
+    refuse_unless_positive(duration=(duration, "s"))
     start = displaced_state(p, _START_COMPRESSIONS) if initial_state is None else initial_state
     motion = Motion(p, sample_rate, start, engine, step)
     samples = duration * sample_rate
@@ -196,7 +195,23 @@ def validity_warnings(p: RigParameters, samples: Vector) -> list[str]:
     return warnings
 
 
-def _checked_state(state: ArrayLike) -> Vector:
+def refuse_unless_positive(**arguments: tuple[float, str]) -> None:
+    """Refuse arguments, each a value and its unit, that are not finite and above zero.
+
+    Raises:
+        ParameterError: naming the first of them.
+    """
+    for name, (value, unit) in arguments.items():
+        if not (math.isfinite(value) and value > 0.0):
+            raise ParameterError(f"{name} = {value} {unit} is out of bounds: it must be above 0 {unit}")
+
+
+def checked_state(state: ArrayLike) -> Vector:
+    """A state (x, y, vx, vy) [m, m/s] as a new array.
+
+    Raises:
+        ParameterError: it is not four finite numbers.
+    """
     values = np.array(state, dtype=np.float64)
     if values.shape != (4,) or not np.isfinite(values).all():
         raise ParameterError(f"initial_state = {state!r} must be four finite numbers: x, y [m], vx, vy [m/s]")
