@@ -22,6 +22,7 @@ from squeal_rig.estimation.calibration import (
     write_preset,
 )
 from squeal_rig.estimation.calibration.evaluation import Evaluator
+from squeal_rig.estimation.calibration.problem import Free
 from squeal_rig.model import RigParameters, critical_pad_stiffness, eigenvalues, squeal_frequency
 from tests.model.at_rest import critical_stiffness_at_rest, is_threshold_at_rest
 
@@ -179,6 +180,21 @@ def test_free_parameters_can_be_named_on_the_command_line():
     for text, sentence in (("mas", "did you mean 'mass'"), ("k3=5", "write name, or name=lower:upper")):
         with pytest.raises(SquealRigError, match=sentence):
             problem.with_free([text])
+
+
+def test_an_optimum_on_a_declared_bound_is_written_and_explained(tmp_path):
+    problem = replace(
+        Calibration.of(targets_of(RigParameters())),
+        free=(Free("damping_x", 0.0, 1e-3), Free("mu0", 0.2, 0.3)),
+        tied={"damping_y": "damping_x"},
+    )
+    found = calibrate(problem, seed=1, starts=1, generations=20)
+    at_bound = replace(found, rig=found.rig.replace(damping_x=0.0, damping_y=0.0))
+    assert np.isfinite(identifiability(at_bound).singular_values).all()
+    highest = replace(found, rig=found.rig.replace(mass=1e5), problem=replace(problem, free=(Free("mass", 1.0, 1e5),)))
+    assert np.isfinite(identifiability(replace(highest, near=np.ones((1, 1)))).singular_values).all()
+    write_preset(at_bound, tmp_path / "bound.yaml", "test")
+    assert RigParameters.from_yaml(tmp_path / "bound.yaml").damping_x == 0.0
 
 
 def test_no_start_is_refused():

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from squeal_rig.estimation.calibration.evaluation import Evaluator
+from squeal_rig.estimation.calibration.problem import within_bounds
 from squeal_rig.estimation.calibration.search import Found
 
 Values = NDArray[np.float64]
@@ -51,12 +52,14 @@ def identifiability(found: Found) -> Identifiability:
     names = tuple(item.name for item in found.problem.free)
     rows = []
     for name in names:
-        changed = []
-        for sign in (1.0, -1.0):
-            values = {name: getattr(found.rig, name) + sign * _step_of(found, name)}
-            values |= {tied: values[other] for tied, other in found.problem.tied.items() if other == name}
+        changed, step = [], _step_of(found, name)
+        # An optimum on a bound is stepped from on one side only.
+        ends = [within_bounds(name, getattr(found.rig, name) + side * step) for side in (1.0, -1.0)]
+        for end in ends:
+            values = {name: end}
+            values |= {tied: end for tied, other in found.problem.tied.items() if other == name}
             changed.append(_errors(evaluator, found, values))
-        rows.append((changed[0] - changed[1]) / (2.0 * _STEP))
+        rows.append((changed[0] - changed[1]) * (step / _STEP) / (ends[0] - ends[1]))
     jacobian = np.nan_to_num(np.array(rows).T)
     _, singular, directions = np.linalg.svd(jacobian, full_matrices=True)
     columns = evaluator.coordinates.columns(found.near)

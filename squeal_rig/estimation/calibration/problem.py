@@ -170,6 +170,12 @@ def _declared_bounds(name: str) -> tuple[float, float]:
     return known[name].lower, known[name].upper
 
 
+def within_bounds(name: str, value: float) -> float:
+    """The value, or the declared bound of a parameter that it lies beyond."""
+    lower, upper = _declared_bounds(name)
+    return min(max(value, lower), upper)
+
+
 def _free(name: str, lower: float, upper: float) -> Free:
     """A free parameter; nan in place of a bound: that of its declaration."""
     declared_lower, declared_upper = _declared_bounds(name)

@@ -12,7 +12,7 @@ from squeal_rig.configuration.declared import declarations
 from squeal_rig.configuration.files import yaml_scalar
 from squeal_rig.estimation.calibration.evaluation import SIMULATED, Evaluator
 from squeal_rig.estimation.calibration.identifiability import identifiability
-from squeal_rig.estimation.calibration.problem import Calibration
+from squeal_rig.estimation.calibration.problem import Calibration, within_bounds
 from squeal_rig.estimation.calibration.search import EQUALLY_GOOD, Found
 from squeal_rig.estimation.calibration.targets import KINDS, Target
 from squeal_rig.model.parameters import RigParameters
@@ -63,9 +63,10 @@ def summary(items: list[Residual], kind: str) -> str:
 
 
 def rounded(found: Found) -> RigParameters:
-    """The rig found, its free parameters rounded to the digits a preset is written with."""
+    """The rig found, its free parameters rounded to the digits a preset is written with, within their bounds."""
     names = [*(item.name for item in found.problem.free), *found.problem.tied]
-    return found.rig.replace(**{name: float(f"{getattr(found.rig, name):.{_DIGITS}g}") for name in names})
+    values = {name: float(f"{getattr(found.rig, name):.{_DIGITS}g}") for name in names}
+    return found.rig.replace(**{name: within_bounds(name, value) for name, value in values.items()})
 
 
 def shown_kinds(problem: Calibration) -> tuple[str, ...]:

@@ -58,6 +58,11 @@ def run_calibration(path: Path, free: Sequence[str], effort: Effort, out: Path, 
             )
 
         found = calibrate(problem, effort.seed, effort.starts, effort.generations, step)
+    # First what took long to find, then the words about it.
+    chosen = f" --free {','.join(free)}" if free else ""
+    asked = f"--seed {effort.seed} --starts {effort.starts}"
+    asked += f" --generations {effort.generations}" if effort.generations != GENERATIONS else ""
+    write_preset(found, out, f"squeal-rig calibrate {path}{chosen} {asked}")
     items = residuals(problem, rounded(found), shown_kinds(problem))
     for line in [*residual_lines(items), "", *spread_lines(found)]:
         console.print(line, markup=False, highlight=False, soft_wrap=True)
@@ -67,9 +72,5 @@ def run_calibration(path: Path, free: Sequence[str], effort: Effort, out: Path, 
         console.print(
             f"[bold]demands or limits of the calibration are broken by {found.outside:.3g}[/bold]: search longer"
         )
-    chosen = f" --free {','.join(free)}" if free else ""
-    asked = f"--seed {effort.seed} --starts {effort.starts}"
-    asked += f" --generations {effort.generations}" if effort.generations != GENERATIONS else ""
-    write_preset(found, out, f"squeal-rig calibrate {path}{chosen} {asked}")
     console.print(f"preset: {out}")
     return found
