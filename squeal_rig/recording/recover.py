@@ -53,6 +53,7 @@ class _Rescue:
         self.report = Recovery()
         self.custom: dict[str, str] = {}
         self._handles: dict[str, ChannelHandle] = {}
+        self._definitions: dict[str, MessageSchema] = {}
         self._numbers: dict[str, int] = {}
         self._last_time: int | None = None
         self._damage = False
@@ -132,7 +133,7 @@ class _Rescue:
     def _handle(self, channel_id: int, file: _File) -> ChannelHandle:
         channel, schema = file.channel(channel_id)
         known = self._handles.get(channel.topic)
-        if known is not None and known.schema.name == schema.name:
+        if known is not None and known.schema.name == schema.name and known.schema.data == schema.data:
             return known
         if channel.message_encoding != "cdr":
             raise RecordingError(f"{channel.topic} is encoded as {channel.message_encoding!r}, not as cdr")
@@ -140,14 +141,17 @@ class _Rescue:
             qos = qos_from_yaml(channel.metadata.get("offered_qos_profiles", ""))
         except RecordingError:
             qos = ()  # the messages are worth more than how they were offered
-        if self.writer is None:
-            self.writer = BagWriter(self.directory, custom_data={"recovered": "true"})
         definition = MessageSchema(
             full_type_name(schema.name),
             schema.data.decode(errors="replace"),
             channel.metadata.get("topic_type_hash", ""),
             schema.encoding,
         )
+        changed = self._definitions.setdefault(definition.type_name, definition).conflict(definition)
+        if changed is not None:
+            raise RecordingError(f"{changed} of {channel.topic} has other fields than before: a bag cannot hold both")
+        if self.writer is None:
+            self.writer = BagWriter(self.directory, custom_data={"recovered": "true"})
         handle = self.writer.add_topic(channel.topic, schema.name, qos, definition)
         self._handles[channel.topic] = handle
         return handle

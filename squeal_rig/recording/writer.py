@@ -46,6 +46,7 @@ class ChannelHandle:
     schema: Schema
     channel: Channel
     entry: TopicEntry
+    definition: MessageSchema
     message_count: int = 0
 
 
@@ -122,15 +123,20 @@ class BagWriter:
     ) -> ChannelHandle:
         """Declare a topic; the definition of its type is looked up where no schema is given.
 
-        A topic declared twice with the same type returns the first handle.
+        A topic declared twice with the same type returns the first handle; another definition of it is refused.
         """
         with self._lock:
             self._check_open()
             known = self._handles.get(topic)
             if known is not None:
-                if known.entry.type_name == type_name or known.entry.type_name == full_type_name(type_name):
-                    return known
-                raise RecordingError(f"Topic {topic} has type {known.entry.type_name}; it cannot be {type_name} too.")
+                if known.entry.type_name not in (type_name, full_type_name(type_name)):
+                    raise RecordingError(
+                        f"Topic {topic} has type {known.entry.type_name}; it cannot be {type_name} too."
+                    )
+                changed = None if schema is None else known.definition.conflict(schema)
+                if changed is not None:
+                    raise RecordingError(f"Topic {topic}: {changed} has other fields than when the topic was declared.")
+                return known
             if len(self._handles) >= _MAX_CHANNELS:
                 raise RecordingError(f"A bag holds at most {_MAX_CHANNELS} topics.")
             definition = installed_schema(type_name) if schema is None else schema
@@ -298,7 +304,7 @@ class BagWriter:
             schema_id=schema.id,
         )
         entry = TopicEntry(topic, definition.type_name, qos=qos, type_hash=definition.type_hash)
-        return ChannelHandle(topic, schema, channel, entry)
+        return ChannelHandle(topic, schema, channel, entry, definition)
 
     def _metadata(self, files: Sequence[McapFile]) -> BagMetadata:
         counted = [
