@@ -66,11 +66,16 @@ class _Rescue:
             return known
         return "aborted: the recording was not closed; recovered"
 
+    @property
+    def _taken(self) -> int:
+        """Messages that were found, saved or not."""
+        return self.report.messages + sum(self.report.refused.values())
+
     def take_file(self, path: Path) -> None:
         """Save what is intact in one file."""
         salvage, report = Salvage(path), self.report
         file = _File(salvage)
-        before, lost_before = report.messages, report.lost
+        taken_before, lost_before = self._taken, report.lost
         for piece in salvage.pieces():
             if isinstance(piece, Damaged):
                 report.damaged_chunks += 1
@@ -84,9 +89,9 @@ class _Rescue:
             self._save(piece, file)
         loose = salvage.loose
         report.closed = report.closed and loose.closed
+        report.files_within += loose.files_within
         if loose.statistics is not None:
-            refused = sum(report.refused.values())
-            missing = loose.statistics.message_count - (report.messages - before) - refused
+            missing = loose.statistics.message_count - (self._taken - taken_before)
             report.lost = max(report.lost, lost_before + max(missing, 0))
         if not loose.closed:
             report.unread_bytes += file.unread()
