@@ -21,6 +21,10 @@ class RecordingError(SquealRigError):
     """A bag cannot be written or read."""
 
 
+class DiskError(RecordingError):
+    """The disk refuses what is to be written: it is full, read-only or gone. Everything else can be recorded on."""
+
+
 class DriverError(SquealRigError):
     """A driver of the rig failed or cannot do what it was asked."""
 

@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from squeal_rig.errors import RecordingError
+from squeal_rig.errors import DiskError, RecordingError
 from squeal_rig.graph import qos
 from squeal_rig.graph.conversions import ERROR, OK, WARN, status_values
 from squeal_rig.graph.health import Health, HealthPublisher
@@ -24,6 +24,7 @@ from squeal_rig.graph.subscriptions import Taken, TopicSubscriptions
 from squeal_rig.recording import QosProfile
 from squeal_rig.recording.session import RecordingSession
 from squeal_rig.recording.settings import RecorderSettings
+from squeal_rig.recording.writer import MAX_TIME
 
 _FLUSH_PERIOD = 0.25
 _RUN_FACTS = ("preset",)  # parameters of the rig that tell what a run was
@@ -38,6 +39,7 @@ class RecorderNode(Node):
         self._declared = DeclaredParameters(self, (RecorderSettings(),))
         self._session = RecordingSession(self._settings, default_directory)
         self._squealing = False
+        self._missed = 0
         self._snapshot_due: float | None = None
         if self._settings.autostart:
             self._session.start(self._now())
@@ -69,9 +71,13 @@ class RecorderNode(Node):
     def _found(self, topic: str, type_name: str, offered: list[QosProfile]) -> Taken:
         known = self._session.add_topic(topic, type_name, offered)
 
-        def take(data: bytes, info: dict[str, int]) -> None:
-            received = info["received_timestamp"] or self._now()
-            self._guarded(lambda: self._session.write(known, data, received, info["source_timestamp"] or received))
+        def take(data: bytes, info: dict[str, int | None]) -> None:
+            missed = known.missed(info.get("publication_sequence_number"))
+            if missed and self.count_publishers(topic) == 1:  # of several, each numbers its own
+                self._missed += missed
+            received = _sound_time(info["received_timestamp"]) or self._now()
+            sent = _sound_time(info["source_timestamp"]) or received  # a publisher may stamp as it likes
+            self._guarded(lambda: self._session.write(known, data, received, sent))
 
         return take
 
@@ -97,13 +103,28 @@ class RecorderNode(Node):
                 self._guarded(lambda: self.get_logger().info(self._session.snapshot("squeal detected", self._now())))
 
     def _guarded(self, action: Callable[[], Any]) -> None:
-        """A full disk ends the recording with a sentence; the rig and this node go on."""
+        """A disk that refuses ends the recording with a sentence; the rig and this node go on."""
         try:
             action()
-        except RecordingError as error:
+        except DiskError as error:
             self.get_logger().error(f"recording stopped: {error}")
             self._end(f"stopped: {error}")
             self._session.fault = str(error)
+        except RecordingError as error:
+            self.get_logger().warning(str(error))
+
+    def _drain(self) -> None:
+        """Take what has arrived by now: after a slow disk that may be seconds, which would be lost with the node."""
+        until = self._now()
+        for subscription in self.subscriptions:
+            while subscription.raw and self._session.recording:
+                with subscription.handle:
+                    taken = subscription.handle.take_message(subscription.msg_type, True)
+                if taken is None:
+                    break
+                subscription.callback(*taken)
+                if (taken[1]["received_timestamp"] or 0) > until:
+                    break
 
     # --- services
 
@@ -115,6 +136,7 @@ class RecorderNode(Node):
         if not self._session.recording:
             raise RecordingError("nothing is being recorded")
         directory = self._session.directory
+        self._drain()
         self._end("complete: stopped on request")
         return f"closed {directory}"
 
@@ -138,7 +160,8 @@ class RecorderNode(Node):
             "bytes": session.bytes_written,
             "messages": session.message_count,
             "topics": len(self._topics),
-            "lost messages": self._topics.lost,
+            "lost messages": self._lost,
+            "refused messages": session.refused,
             "in memory [s]": round(session.seconds_in_memory, 1),
             "snapshots": session.snapshot_count,
             "nodes with known parameters": self._watch.answered,
@@ -147,14 +170,23 @@ class RecorderNode(Node):
             return ERROR, session.fault, values
         if unknown:
             return WARN, "not recorded: " + ", ".join(sorted(unknown)), values
-        if self._topics.lost:
-            return WARN, f"{self._topics.lost} messages were lost on the way here", values
+        if self._lost:
+            return WARN, f"{self._lost} messages were lost on the way here", values
+        if session.refused:
+            return WARN, f"{session.refused} messages were refused: {session.refusal}", values
         return OK, session.state, values
+
+    @property
+    def _lost(self) -> int:
+        """Messages that did not get here, as the middleware says or as the numbers of a topic's one publisher show.
+
+        Both may see the same ones, and neither sees all.
+        """
+        return max(self._topics.lost, self._missed)
 
     def _end(self, ending: str) -> None:
         try:
-            lost = self._topics.lost
-            self._session.stop(ending, {"lost_messages": str(lost), "finished_utc": _utc_now()})
+            self._session.stop(ending, {"lost_messages": str(self._lost), "finished_utc": _utc_now()})
         except RecordingError as error:
             self.get_logger().error(str(error))
             self._lifetime.exit_code = 1
@@ -162,7 +194,13 @@ class RecorderNode(Node):
     def close(self) -> None:
         """Close the bag; it says whether the node was ended or fell."""
         error = sys.exc_info()[1]
+        self._drain()
         self._end("complete" if error is None else f"aborted: {type(error).__name__}: {error}")
+
+
+def _sound_time(time: int | None) -> int:
+    """A time [ns] that a bag can hold, else 0."""
+    return time if time is not None and 0 < time <= MAX_TIME else 0
 
 
 def default_directory() -> Path:

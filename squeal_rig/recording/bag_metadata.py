@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from squeal_rig.configuration.files import MAX_FOREIGN_YAML, dump_yaml, parse_yaml_texts, read_text
-from squeal_rig.errors import ConfigurationError, RecordingError
+from squeal_rig.errors import ConfigurationError, DiskError, RecordingError
 
 from .qos_yaml import QosProfile, qos_from_list, qos_from_yaml, qos_to_mapping
 
@@ -121,7 +121,7 @@ def write_metadata(directory: Path, metadata: BagMetadata) -> None:
             os.fsync(stream.fileno())
         os.replace(draft, path)
     except OSError as error:
-        raise RecordingError(f"Cannot write {path}: {error.strerror}.") from None
+        raise DiskError(f"Cannot write {path}: {error.strerror}.") from None
 
 
 def read_metadata(directory: Path) -> BagMetadata | None:

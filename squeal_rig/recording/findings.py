@@ -65,7 +65,8 @@ class Recovery:
 
     messages saved, of them `unproved` without a checksum in the file; chunks saved and damaged; `lost` messages that
     the numbering or the summary shows to be missing; `lost_seconds` [s] between intact pieces with damage in between;
-    `closed` whether every file had its ending; `unread_bytes` behind the last intact piece of files without one.
+    `closed` whether every file had its ending; `unread_bytes` behind the last intact piece of files without one;
+    `files_within` other MCAP files found inside.
     """
 
     messages: int = 0
@@ -78,11 +79,13 @@ class Recovery:
     closed: bool = True
     refused: dict[str, int] = field(default_factory=dict)  # reason -> messages
     lost_records: int = 0
+    files_within: int = 0
 
     @property
     def complete(self) -> bool:
         """Whether nothing is known to be lost."""
-        return self.closed and not (self.lost or self.damaged_chunks or self.refused or self.unread_bytes)
+        lacks = self.lost or self.damaged_chunks or self.refused or self.unread_bytes or self.files_within
+        return self.closed and not lacks
 
     def sentences(self) -> list[str]:
         """What to tell the user."""
@@ -103,5 +106,7 @@ class Recovery:
             told.append(f"{self.unproved} of the messages have no checksum in the file: nothing vouches for them")
         if self.lost_records:
             told.append(f"{self.lost_records} damaged metadata records were left out")
+        if self.files_within:
+            told.append(f"{self.files_within} MCAP files inside the files (attached, or in a message) were left out")
         told += [f"{count} messages were left out: {reason}" for reason, count in self.refused.items()]
         return told

@@ -26,7 +26,7 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from squeal_rig.errors import RecordingError
+from squeal_rig.errors import DiskError
 
 from .chunks import PackedChunk
 from .records import FOOTER, HEAD, MAGIC, record_bytes
@@ -44,7 +44,7 @@ class FileTotals:
 
 
 class McapFile:
-    """Writes one file. Every method raises RecordingError where the disk refuses."""
+    """Writes one file. Every method raises DiskError where the disk refuses."""
 
     def __init__(self, path: Path, library: str, reserve_bytes: int) -> None:
         self.path = path
@@ -63,10 +63,10 @@ class McapFile:
         try:
             self._stream = open(path, "xb", buffering=0)
         except OSError as error:
-            raise RecordingError(f"Cannot create {path}: {error.strerror}.") from None
+            raise DiskError(f"Cannot create {path}: {error.strerror}.") from None
         try:
             self._append(MAGIC + record_bytes(Header(profile="ros2", library=library)))
-        except RecordingError:
+        except DiskError:
             self.discard()
             raise
 
@@ -142,7 +142,7 @@ class McapFile:
             self._append(summary + offsets + ending)
             os.fsync(self._stream.fileno())
         except OSError as error:
-            raise RecordingError(f"Cannot close {self.path}: {error.strerror}.") from None
+            raise DiskError(f"Cannot close {self.path}: {error.strerror}.") from None
         finally:
             self._stream.close()
             # A bag of many files keeps the totals of each, never the indexes: memory does not grow with its length.
@@ -171,7 +171,7 @@ class McapFile:
             disk = os.fstatvfs(self._stream.fileno())
             free = disk.f_bavail * disk.f_frsize
             if free < len(data) + kept:
-                raise RecordingError(
+                raise DiskError(
                     f"The disk of {self.path.parent} is full: {free} bytes are free,"
                     f" {len(data)} are to be written and {kept} kept to close the bag."
                 )
@@ -180,7 +180,7 @@ class McapFile:
                 view = view[self._stream.write(view) :]
         except OSError as error:
             self._take_back()
-            raise RecordingError(f"Cannot write to {self.path}: {error.strerror}.") from None
+            raise DiskError(f"Cannot write to {self.path}: {error.strerror}.") from None
         except BaseException:  # an interrupt between two writes must not leave half a record
             self._take_back()
             raise

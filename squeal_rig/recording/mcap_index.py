@@ -6,6 +6,7 @@ A closed file is indexed from its summary, or by scanning where that has no chun
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 
 from mcap.opcode import Opcode
@@ -143,6 +144,9 @@ def _take_summary(index: FileIndex, data: FileBytes, start: int, end: int) -> St
         elif isinstance(record, MetadataIndex):
             _take_metadata(index, data[record.offset + HEAD.size : record.offset + record.length])
     index.blocks.sort(key=lambda block: block.offset)
+    for block, following in pairwise(index.blocks):
+        if following.offset < block.offset + block.length:  # its messages would be read twice
+            raise BrokenRecordError(f"its index lists the chunk at byte {following.offset} twice or within another one")
     return statistics
 
 

@@ -164,13 +164,19 @@ def _topics(indexes: Collection[FileIndex]) -> dict[str, TopicInfo]:
                     f"{index.path} has topic {channel.topic} as {schema.name} and as {known.type_name}."
                 )
             type_hash = channel.metadata.get("topic_type_hash", "")
+            definition = MessageSchema(schema.name, schema.data.decode(errors="replace"), type_hash, schema.encoding)
+            changed = None if known is None else known.schema.conflict(definition)
+            if changed is not None:
+                raise RecordingError(
+                    f"{index.path} has topic {channel.topic} in two definitions: {changed} has other fields."
+                )
             topics[channel.topic] = TopicInfo(
                 name=channel.topic,
                 type_name=schema.name,
                 message_count=index.message_counts.get(channel.id, 0) + (known.message_count if known else 0),
                 qos=_qos_of(index.path, channel),
                 type_hash=type_hash,
-                schema=MessageSchema(schema.name, schema.data.decode(errors="replace"), type_hash, schema.encoding),
+                schema=definition,
                 serialization_format=channel.message_encoding,
             )
     return topics

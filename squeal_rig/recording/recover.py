@@ -53,6 +53,7 @@ class _Rescue:
         self.report = Recovery()
         self.custom: dict[str, str] = {}
         self._handles: dict[str, ChannelHandle] = {}
+        self._definitions: dict[str, MessageSchema] = {}
         self._numbers: dict[str, int] = {}
         self._last_time: int | None = None
         self._damage = False
@@ -65,11 +66,16 @@ class _Rescue:
             return known
         return "aborted: the recording was not closed; recovered"
 
+    @property
+    def _taken(self) -> int:
+        """Messages that were found, saved or not."""
+        return self.report.messages + sum(self.report.refused.values())
+
     def take_file(self, path: Path) -> None:
         """Save what is intact in one file."""
         salvage, report = Salvage(path), self.report
         file = _File(salvage)
-        before, lost_before = report.messages, report.lost
+        taken_before, lost_before = self._taken, report.lost
         for piece in salvage.pieces():
             if isinstance(piece, Damaged):
                 report.damaged_chunks += 1
@@ -83,9 +89,9 @@ class _Rescue:
             self._save(piece, file)
         loose = salvage.loose
         report.closed = report.closed and loose.closed
+        report.files_within += loose.files_within
         if loose.statistics is not None:
-            refused = sum(report.refused.values())
-            missing = loose.statistics.message_count - (report.messages - before) - refused
+            missing = loose.statistics.message_count - (self._taken - taken_before)
             report.lost = max(report.lost, lost_before + max(missing, 0))
         if not loose.closed:
             report.unread_bytes += file.unread()
@@ -132,7 +138,7 @@ class _Rescue:
     def _handle(self, channel_id: int, file: _File) -> ChannelHandle:
         channel, schema = file.channel(channel_id)
         known = self._handles.get(channel.topic)
-        if known is not None and known.schema.name == schema.name:
+        if known is not None and known.schema.name == schema.name and known.schema.data == schema.data:
             return known
         if channel.message_encoding != "cdr":
             raise RecordingError(f"{channel.topic} is encoded as {channel.message_encoding!r}, not as cdr")
@@ -140,14 +146,17 @@ class _Rescue:
             qos = qos_from_yaml(channel.metadata.get("offered_qos_profiles", ""))
         except RecordingError:
             qos = ()  # the messages are worth more than how they were offered
-        if self.writer is None:
-            self.writer = BagWriter(self.directory, custom_data={"recovered": "true"})
         definition = MessageSchema(
             full_type_name(schema.name),
             schema.data.decode(errors="replace"),
             channel.metadata.get("topic_type_hash", ""),
             schema.encoding,
         )
+        changed = self._definitions.setdefault(definition.type_name, definition).conflict(definition)
+        if changed is not None:
+            raise RecordingError(f"{changed} of {channel.topic} has other fields than before: a bag cannot hold both")
+        if self.writer is None:
+            self.writer = BagWriter(self.directory, custom_data={"recovered": "true"})
         handle = self.writer.add_topic(channel.topic, schema.name, qos, definition)
         self._handles[channel.topic] = handle
         return handle

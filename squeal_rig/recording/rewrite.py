@@ -11,6 +11,7 @@ from squeal_rig.errors import RecordingError
 
 from .reader import Bag, RawMessage
 from .replay import is_latched, last_before, matching_topics
+from .schemas import MessageSchema
 from .writer import BagWriter, ChannelHandle
 
 _ENDING = "ending"
@@ -59,7 +60,7 @@ def cut(
 def merge(sources: Sequence[str | Path], directory: str | Path) -> int:
     """Put several bags into one, in log-time order; returns the number of messages.
 
-    Raises RecordingError where a topic has two types, or the bags cannot be read or written.
+    Raises RecordingError where a topic has two types or a type two definitions, or the bags cannot be read or written.
     """
     bags = [Bag(source) for source in sources]
     if len(bags) < 2:
@@ -67,6 +68,7 @@ def merge(sources: Sequence[str | Path], directory: str | Path) -> int:
     facts: dict[str, str] = {"merged_from": ", ".join(bag.path.name for bag in bags)}
     for number, bag in enumerate(bags):
         facts |= {f"{number}.{key}": value for key, value in bag.custom_data.items()}
+    _check_definitions(bags)
     with BagWriter(directory, custom_data=facts) as writer:
         handles: dict[str, ChannelHandle] = {}
         for bag in bags:
@@ -76,6 +78,20 @@ def merge(sources: Sequence[str | Path], directory: str | Path) -> int:
             writer.write(handles[message.topic], message.data, message.log_time, message.publish_time)
         writer.close("merged from " + str(len(bags)) + " bags")
     return writer.message_count
+
+
+def _check_definitions(bags: Sequence[Bag]) -> None:
+    """Readers know a type by its name: messages of a second definition would be read by the first."""
+    known: dict[str, tuple[Bag, MessageSchema]] = {}
+    for bag in bags:
+        for topic in bag.topics.values():
+            first, schema = known.setdefault(topic.type_name, (bag, topic.schema))
+            changed = schema.conflict(topic.schema)
+            if changed is not None:
+                raise RecordingError(
+                    f"{bag.path}: {changed} of {topic.name} has other fields than in {first.path};"
+                    " one bag cannot hold both."
+                )
 
 
 def _keyed(bag: Bag, number: int) -> Iterator[tuple[int, int, RawMessage]]:

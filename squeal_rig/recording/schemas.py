@@ -23,6 +23,8 @@ _PRIMITIVES = frozenset(
     "bool byte char float32 float64 int8 uint8 int16 uint16 int32 uint32 int64 uint64 string wstring".split()
 )
 _SEPARATOR = "=" * 80
+_SEPARATORS = re.compile(r"^=+\n", re.MULTILINE)
+_FIELD_PARTS = re.compile(r"^(?:\w+/)+|\s*(=)\s*")
 _MAX_DEPTH = 50  # rosbag2's own limit (local_message_definition_source.hpp)
 
 
@@ -37,6 +39,27 @@ class MessageSchema:
     text: str = ""
     type_hash: str = ""
     encoding: str = "ros2msg"
+
+    def conflict(self, other: MessageSchema) -> str | None:
+        """Return the name of a type that both define with other fields; None where the one reads the other's messages.
+
+        Comments, spacing and the packages of fields do not count: they differ between releases of the same definition.
+        """
+        if self.text == other.text:
+            return None
+        theirs = _fields_by_type(other)
+        return next((n for n, fields in _fields_by_type(self).items() if theirs.get(n, fields) != fields), None)
+
+
+@lru_cache(maxsize=256)
+def _fields_by_type(schema: MessageSchema) -> dict[str, tuple[str, ...]]:
+    """Name -> fields, for the type and each that it uses."""
+    found = {}
+    for number, part in enumerate(_SEPARATORS.split(schema.text)):
+        head, _, body = part.partition("\n") if number else (f":{schema.type_name}", "", part)
+        fields = (_FIELD_PARTS.sub(r"\1", " ".join(line.partition("#")[0].split())) for line in body.splitlines())
+        found[head.partition(":")[2].strip().replace("/msg/", "/")] = tuple(field for field in fields if field)
+    return found
 
 
 @lru_cache(maxsize=256)

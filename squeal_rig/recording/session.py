@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from squeal_rig.errors import RecordingError
+from squeal_rig.errors import DiskError, RecordingError
 
 from .parameter_log import ParameterLog
 from .provenance import provenance
@@ -33,13 +34,22 @@ class SessionTopic:
     latched: bool
     handle: ChannelHandle | None = None
     latest: tuple[bytes, int, int] | None = None
+    number: int = 0
+
+    def missed(self, number: int | None) -> int:
+        """How many messages a publisher's own number of the next one shows to be missing; it may number nothing (0)."""
+        missing = number - self.number - 1 if number and self.number else 0
+        self.number = number or self.number
+        return max(missing, 0)
 
 
 class RecordingSession:
     """One recorder's life: a bag at a time, begun by `start` and ended by `stop`.
 
     The first bag is `settings.directory`, each that follows has a number behind it; without a directory each is a new
-    one. A bag begun later starts with the last values of latched topics. Every method raises RecordingError.
+    one. A bag begun later starts with the last values of latched topics. Every method raises RecordingError, DiskError
+    where nothing can be written any more. A single message that cannot be recorded is counted in `refused`, the last
+    reason is `refusal`.
     """
 
     def __init__(self, settings: RecorderSettings, default_directory: Callable[[], Path]) -> None:
@@ -55,6 +65,8 @@ class RecordingSession:
         self.snapshot_count = 0
         self.directory: Path | None = None
         self.fault = ""
+        self.refused = 0
+        self.refusal = ""
 
     @property
     def recording(self) -> bool:
@@ -100,7 +112,7 @@ class RecordingSession:
             custom_data=provenance() | {"mode": s.mode} | self._facts,
         )
         self._bags += 1
-        self._writer, self.directory, self.fault = writer, directory, ""
+        self._writer, self.directory, self.fault, self.refused = writer, directory, "", 0
         self._ring = MessageRing(s.snapshot_duration, round(s.snapshot_memory * _MB)) if self.snapshots else None
         writer.keep_in_every_file(lambda: self._parameters.current(time.time_ns()))
         for name, values in self._parameters.current(now):
@@ -116,10 +128,9 @@ class RecordingSession:
         writer, self._writer, self._ring = self._writer, None, None
         if writer is None:
             return
-        try:
-            writer.add_custom_data(facts or {})
-        except RecordingError:
-            pass  # the disk is full; closing tells it, and has its own reserve
+        refused = {"refused_messages": str(self.refused)} if self.refused else {}
+        with suppress(DiskError):  # the disk is full; closing tells it, and has its own reserve
+            writer.add_custom_data({**(facts or {}), **refused})
         writer.close(ending)
 
     def add_topic(self, name: str, type_name: str, offered: Sequence[QosProfile]) -> SessionTopic:
@@ -140,7 +151,16 @@ class RecordingSession:
         if self._ring is not None:
             self._ring.add(KeptMessage(topic.handle, data, log_time, publish_time), topic.latched)
         else:
-            self._writer.write(topic.handle, data, log_time, publish_time)
+            self._record(self._writer, KeptMessage(topic.handle, data, log_time, publish_time))
+
+    def _record(self, writer: BagWriter, message: KeptMessage) -> None:
+        try:
+            writer.write(*message)
+        except DiskError:
+            raise
+        except RecordingError as error:  # one message that cannot be recorded is no reason to lose the others
+            self.refused += 1
+            self.refusal = str(error)
 
     def parameters_at_start(self, node: str, values: Mapping[str, Any], now: int, facts: Mapping[str, str]) -> None:
         """Take all parameters of a node, and facts of the run that are among them."""
@@ -188,7 +208,7 @@ class RecordingSession:
             {"reason": reason, "time_ns": str(now), "messages": str(len(messages)), "seconds": f"{seconds:.3f}"},
         )
         for message in messages:
-            self._writer.write(*message)
+            self._record(self._writer, message)
         self._writer.flush()
         self.snapshot_count += 1
         limit = f", cut short by {self._settings.snapshot_memory:g} MB of memory" if shortened else ""

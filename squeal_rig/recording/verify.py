@@ -15,11 +15,19 @@ from .gaps import CLOUD_TYPE, SampleCount
 from .mcap_index import FileIndex, index_file
 from .messages import Decode, decoder_of
 from .reader import Bag, find_files
+from .records import MAGIC, FileBytes
 from .schemas import MessageSchema, installed_schema
 from .sealed import is_intact
 from .verify_file import FileChecker
 from .writer import is_numbered
 
+# What our recorder and `recover` count in a bag's custom data.
+_OWN_COUNTS = {
+    "lost_messages": "were lost on the way to the recorder",
+    "refused_messages": "could not be recorded",
+    "messages_lost_at_end": "were lost at the end, when the disk was full",
+    "recovered_lost_messages": "were lost when it was recovered",
+}
 _OUT_OF_ORDER = 10**9  # [ns]
 
 
@@ -52,6 +60,8 @@ def verify(path: str | Path) -> Verdict:
     path = Path(path)
     verdict = Verdict(path)
     files = find_files(path)
+    if not any(map(_may_be_mcap, files)):
+        raise RecordingError(f"{path} is no bag: nothing of it begins or ends as an MCAP file does.")
     topics: dict[str, _Topic] = {}
     indexes: list[FileIndex] = []
     for file in files:
@@ -70,6 +80,11 @@ def verify(path: str | Path) -> Verdict:
     if indexes:
         _check_metadata(path, indexes, topics, verdict)
     return verdict
+
+
+def _may_be_mcap(path: Path) -> bool:
+    with FileBytes(path) as data:
+        return MAGIC in (data[: len(MAGIC)], data[max(len(data) - len(MAGIC), 0) : len(data)])
 
 
 def _check_file(index: FileIndex, topics: dict[str, _Topic], verdict: Verdict) -> None:
@@ -182,12 +197,15 @@ def _check_metadata(path: Path, indexes: list[FileIndex], topics: dict[str, _Top
             for fault in _disagreements(metadata, indexes, topics):
                 verdict.error("metadata.yaml", fault)
     try:
-        ending = Bag(path).ending
+        told = Bag(path).custom_data
     except RecordingError as error:
         verdict.error(path.name, str(error))
         return
-    if ending is None:
+    if "ending" not in told:
         verdict.warn(path.name, "does not say how the recording ended")
+    for key, meaning in _OWN_COUNTS.items():
+        if told.get(key, "0") != "0":
+            verdict.warn(path.name, f"says of itself that {told[key]} messages {meaning}")
 
 
 def _disagreements(metadata: BagMetadata, indexes: list[FileIndex], topics: dict[str, _Topic]) -> Iterator[str]:

@@ -35,7 +35,8 @@ class FileChecker:
         self.faults: list[str] = []
         self._counts: dict[int, int] = {}
         self._entries: dict[int, set[tuple[int, int]]] = {}  # channel -> (log time, offset) in the last chunk
-        self._unindexed: set[int] = set()
+        self._places: dict[int, int] = {}  # channel -> offset of its message index, of the last chunk
+        self._chunk: tuple[str, ChunkIndex | None] | None = None  # the last one in words, and its entry in the index
         self._chunk_indexes: dict[int, ChunkIndex] = {}
 
     def messages(self) -> Iterator[ChunkMessage]:
@@ -53,7 +54,7 @@ class FileChecker:
                     yield from self._record(opcode, start, data, after)
             except BrokenRecordError as error:
                 self._fault(str(error))
-            self._unindexed_left()
+            self._end_chunk()
             if end is None:
                 self._fault("the data section has no end")
             elif end[1] and data.checksum(0, end[0]) != end[1]:
@@ -62,18 +63,18 @@ class FileChecker:
 
     def _record(self, opcode: int, start: int, data: FileBytes, end: int) -> Iterator[ChunkMessage]:
         if opcode == Opcode.CHUNK:
-            self._unindexed_left()
-            yield from self._chunk(data[start:end], start - HEAD.size)
+            self._end_chunk()
+            yield from self._take_chunk(data[start:end], start - HEAD.size)
         elif opcode == Opcode.MESSAGE_INDEX:
-            self._message_index(data[start:end])
+            self._message_index(data[start:end], start - HEAD.size)
         elif opcode == Opcode.MESSAGE:
             for message in iter_messages(data[start - HEAD.size : end]):
                 self._count(message)
                 yield message
 
-    def _chunk(self, body: bytes, offset: int) -> Iterator[ChunkMessage]:
+    def _take_chunk(self, body: bytes, offset: int) -> Iterator[ChunkMessage]:
         where = f"the chunk at byte {offset}"
-        self._entries = {}
+        self._entries, self._places = {}, {}
         try:
             raw = unpack_chunk(body)
             self._compare_definitions(raw, where)
@@ -85,7 +86,6 @@ class FileChecker:
         for message, place in zip(messages, places, strict=True):
             self._entries.setdefault(message.channel_id, set()).add((message.log_time, place))
             self._count(message)
-        self._unindexed = set(self._entries)
         times = [message.log_time for message in messages]
         claimed = read_chunk_head(body)[:2]
         if times and claimed != (min(times), max(times)):
@@ -96,6 +96,7 @@ class FileChecker:
                 self._fault(f"{where} is not in the index of the file")
         elif (entry.message_start_time, entry.message_end_time) != claimed or entry.chunk_length != len(body) + 9:
             self._fault(f"{where} is described wrongly by the index of the file")
+        self._chunk = (where, entry)
         yield from messages
 
     def _compare_definitions(self, raw: bytes, where: str) -> None:
@@ -106,21 +107,27 @@ class FileChecker:
             if known.get(record.id, record) != record:
                 self._fault(f"{where} defines {type(record).__name__.lower()} {record.id} otherwise than the summary")
 
-    def _message_index(self, body: bytes) -> None:
+    def _message_index(self, body: bytes, offset: int) -> None:
         try:
             channel_id, size = INDEX.unpack_from(body)
             entries = set(INDEX_ENTRY.iter_unpack(body[INDEX.size : INDEX.size + size]))
         except struct.error:
             raise BrokenRecordError("a message index is cut short") from None
         found = self._entries.get(channel_id)
-        self._unindexed.discard(channel_id)
+        self._places[channel_id] = offset
         if found is not None and entries != found:
             self._fault(f"the message index of channel {channel_id} does not fit its chunk")
 
-    def _unindexed_left(self) -> None:
-        if self._unindexed:
-            self._fault(f"channels {sorted(self._unindexed)} of a chunk have no message index")
-        self._unindexed = set()
+    def _end_chunk(self) -> None:
+        """Compare the message indexes behind a chunk with its messages, and with where the index of the file says."""
+        if self._chunk is None:
+            return
+        (where, entry), self._chunk = self._chunk, None
+        missing = sorted(self._entries.keys() - self._places.keys())
+        if missing:
+            self._fault(f"{where} has no message index of channels {missing}")
+        if entry is not None and entry.message_index_offsets != self._places:
+            self._fault(f"{where} has its message indexes elsewhere than the index of the file says: readers miss some")
 
     def _count(self, message: ChunkMessage) -> None:
         self._counts[message.channel_id] = self._counts.get(message.channel_id, 0) + 1

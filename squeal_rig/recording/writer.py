@@ -16,7 +16,7 @@ from pathlib import Path
 from mcap.records import Channel, Schema
 
 from squeal_rig import __version__
-from squeal_rig.errors import RecordingError
+from squeal_rig.errors import DiskError, RecordingError
 
 from .bag_metadata import BagMetadata, FileEntry, TopicEntry, metadata_yaml, write_metadata
 from .chunks import ChunkBuilder, ChunkMessage
@@ -28,6 +28,7 @@ from .sealed import PROVENANCE, sealed
 MAX_TIME = 2**63 - 1  # rosbag2 keeps times as int64 [ns]
 _OURS = "squeal_rig"
 LIBRARY = f"{_OURS} {__version__}"
+_BROKEN_OFF = ("stopped", "aborted")  # how endings begin that are no completion
 _MAX_CHANNELS = 2**16 - 1
 _SEQUENCE_MASK = 2**32 - 1
 
@@ -45,13 +46,14 @@ class ChannelHandle:
     schema: Schema
     channel: Channel
     entry: TopicEntry
+    definition: MessageSchema
     message_count: int = 0
 
 
 class BagWriter:
     """One bag being written. Methods may be called from several threads.
 
-    Raises RecordingError from any method when the disk refuses; `close` still leaves a valid bag then.
+    Raises DiskError from any method when the disk refuses; `close` still leaves a valid bag then.
     """
 
     def __init__(
@@ -121,15 +123,20 @@ class BagWriter:
     ) -> ChannelHandle:
         """Declare a topic; the definition of its type is looked up where no schema is given.
 
-        A topic declared twice with the same type returns the first handle.
+        A topic declared twice with the same type returns the first handle; another definition of it is refused.
         """
         with self._lock:
             self._check_open()
             known = self._handles.get(topic)
             if known is not None:
-                if known.entry.type_name == type_name or known.entry.type_name == full_type_name(type_name):
-                    return known
-                raise RecordingError(f"Topic {topic} has type {known.entry.type_name}; it cannot be {type_name} too.")
+                if known.entry.type_name not in (type_name, full_type_name(type_name)):
+                    raise RecordingError(
+                        f"Topic {topic} has type {known.entry.type_name}; it cannot be {type_name} too."
+                    )
+                changed = None if schema is None else known.definition.conflict(schema)
+                if changed is not None:
+                    raise RecordingError(f"Topic {topic}: {changed} has other fields than when the topic was declared.")
+                return known
             if len(self._handles) >= _MAX_CHANNELS:
                 raise RecordingError(f"A bag holds at most {_MAX_CHANNELS} topics.")
             definition = installed_schema(type_name) if schema is None else schema
@@ -206,27 +213,36 @@ class BagWriter:
     def close(self, ending: str) -> None:
         """Close the bag; `ending` says how the recording ended and is kept in custom_data as `ending`.
 
-        Messages that no longer fit on a full disk are counted in custom_data as `messages_lost_at_end`.
-        A second call does nothing.
+        Where the last messages no longer fit on the disk, the bag is closed without them, its ending says so,
+        custom_data counts them as `messages_lost_at_end`, and DiskError is raised. A second call does nothing.
         """
         with self._lock:
             if self._closed:
                 return
             self._closed = True
             self._custom["ending"] = ending
-            lost = self._chunk.message_count
+            lost, refusal = self._chunk.message_count, None
             try:
                 self._write_chunk(closing=True)
-            except RecordingError:
+            except DiskError as error:
+                refusal = error
                 self._custom["messages_lost_at_end"] = str(lost)
+                if not ending.startswith(_BROKEN_OFF):
+                    self._custom["ending"] = f"stopped: the last {lost} messages are lost: {error}"
             self._finish_file()
             write_metadata(self.directory, self._metadata([*self._closed_files]))
+            if refusal is not None:
+                raise refusal
 
     def __enter__(self) -> BagWriter:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
-        self.close("complete" if error is None else f"aborted: {type(error).__name__}: {error}")
+        if error is None:
+            self.close("complete")
+            return
+        with suppress(RecordingError):  # the first error is the one to tell
+            self.close(f"aborted: {type(error).__name__}: {error}")
 
     def _make_directory(self) -> None:
         try:
@@ -234,7 +250,7 @@ class BagWriter:
             if any(self.directory.iterdir()):
                 raise RecordingError(f"The bag directory {self.directory} exists already and is not empty.")
         except OSError as error:
-            raise RecordingError(f"Cannot create the bag directory {self.directory}: {error.strerror}.") from None
+            raise DiskError(f"Cannot create the bag directory {self.directory}: {error.strerror}.") from None
 
     def _open_file(self, number: int) -> McapFile:
         path = self.directory / f"{self.directory.name}_{number}.mcap"
@@ -247,14 +263,14 @@ class BagWriter:
                 file.append_metadata(name, sealed(values))
             for handle in self._handles.values():
                 file.define(handle.schema, handle.channel)
-        except RecordingError:
+        except DiskError:
             file.discard()
             raise
         return file
 
     def _finish_file(self) -> None:
         described = self._metadata([*self._closed_files, self._file])
-        with suppress(RecordingError):  # on a full disk the summary is worth more; finish tells if that fails
+        with suppress(DiskError):  # on a full disk the summary is worth more; finish tells if that fails
             values = {"serialized_metadata": metadata_yaml(described)}
             self._file.append_metadata("rosbag2", values, closing=True)
         self._file.finish()
@@ -288,7 +304,7 @@ class BagWriter:
             schema_id=schema.id,
         )
         entry = TopicEntry(topic, definition.type_name, qos=qos, type_hash=definition.type_hash)
-        return ChannelHandle(topic, schema, channel, entry)
+        return ChannelHandle(topic, schema, channel, entry, definition)
 
     def _metadata(self, files: Sequence[McapFile]) -> BagMetadata:
         counted = [

@@ -3,12 +3,14 @@
 import shutil
 import signal
 import subprocess
+from itertools import count
+from pathlib import Path
 
 import pytest
 from bag_nodes import ended, published, wait_until
-from full_load import CLOUDS
+from full_load import CLOUDS, ROWS
 
-from squeal_rig.recording import Bag
+from squeal_rig.recording import Bag, samples_from_cdr
 from squeal_rig.recording.parameter_log import parameters_of
 from squeal_rig.recording.verify import verify
 
@@ -19,8 +21,8 @@ def load(children, tmp_path):
     return tmp_path / "load.txt"
 
 
-def recording(client, count=100):
-    client.wait_for(lambda: client.messages_recorded() > count, "recorded messages")
+def recording(client, least=100):
+    client.wait_for(lambda: client.messages_recorded() > least, "recorded messages")
 
 
 def parameter_records(bag, name):
@@ -168,6 +170,71 @@ def test_a_full_disk_ends_the_recording_and_nothing_else(children, client, load,
     wait_until(lambda: published(load)[0] > blocks + 20, "the load going on")
     assert client.trigger("recorder/stop") == (False, "nothing is being recorded")
     assert ended(recorder) == 0
+
+
+def test_a_stop_during_a_stall_of_the_disk_loses_nothing(children, client, tmp_path, load):
+    mark = tmp_path / "stalled"
+    script = Path(__file__).with_name("stalled_recorder.py")
+    given = ["--ros-args", "-p", f"directory:={tmp_path / 'run'}"]
+    recorder = children.start([script, mark, 3.0, *given], "recorder")
+    wait_until(mark.exists, "the stall")
+    begun = published(load)[0]
+    wait_until(lambda: published(load)[0] > begun + 100, "a second of blocks that wait")
+    sent = published(load)[0]
+    assert ended(recorder) == 0
+    bag = Bag(tmp_path / "run")
+    assert (bag.ending, bag.custom_data["lost_messages"]) == ("complete", "0")
+    last = {message.topic: message.data for message in bag.messages(["/daq/samples", "/truth/samples"])}
+    for data in last.values():
+        assert samples_from_cdr(data).samples["seq"][0] // ROWS >= sent - 1
+    assert verify(bag.path).sound
+
+
+def test_one_odd_stamp_and_an_early_snapshot_end_no_recording(children, client, tmp_path):
+    """The squeal comes before anything else: there is nothing to write yet."""
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+    from std_msgs.msg import String
+
+    recorder = children.node(
+        "recorder", directory=tmp_path / "run", mode="snapshot", topics=["words"], snapshot_delay=0.0
+    )
+    squeal = client.node.create_publisher(DiagnosticArray, "squeal/state", 10)
+    client.wait_for(lambda: squeal.get_subscription_count() >= 1, "the recorder's subscription")
+    state = DiagnosticStatus(name="squeal", values=[KeyValue(key="detected", value="true")])
+    squeal.publish(DiagnosticArray(status=[state]))
+    client.wait_for(lambda: "nothing is in memory yet" in recorder.log.read_text(), "its warning")
+    words = client.node.create_publisher(String, "words", 10)
+    client.wait_for(lambda: words.get_subscription_count() == 1, "the topic's subscription")
+    words.publish(String(data="word"))
+    client.wait_for(lambda: client.trigger("recorder/snapshot")[0], "the snapshot")
+    assert client.health["recorder"][0] == 0
+    assert ended(recorder) == 0
+    assert Bag(tmp_path / "run").ending == "complete"
+
+
+def test_messages_that_overrun_the_queue_are_counted(children, client, tmp_path):
+    """Fast DDS replaces the oldest without a word; the numbers of the publisher tell."""
+    from rclpy.qos import QoSProfile
+    from std_msgs.msg import String
+
+    mark = tmp_path / "stalled"
+    script = Path(__file__).with_name("stalled_recorder.py")
+    given = ["--ros-args", "-p", f"directory:={tmp_path / 'run'}", "-p", "topics:=[words]"]
+    recorder = children.start([script, mark, 6.0, *given], "recorder")
+    words = client.node.create_publisher(String, "words", QoSProfile(depth=5000))
+    client.wait_for(lambda: words.get_subscription_count() == 1, "the subscription")
+    numbers = count()
+    timer = client.node.create_timer(0.01, lambda: words.publish(String(data=str(next(numbers)))))
+    client.wait_for(mark.exists, "the stall")
+    timer.cancel()
+    for _ in range(3000):
+        words.publish(String(data=str(next(numbers))))
+    sent = next(numbers)
+    assert ended(recorder) == 0
+    bag = Bag(tmp_path / "run")
+    kept = bag.topics["/words"].message_count
+    assert 1000 <= kept < sent
+    assert int(bag.custom_data["lost_messages"]) == sent - kept
 
 
 def test_readers_of_others_agree_message_by_message(children, client, tmp_path, load):

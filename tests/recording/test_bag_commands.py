@@ -38,7 +38,9 @@ def test_verify_tells_by_its_exit_code(bag, tmp_path):
     write_bag(tmp_path / "sound", blocks=10)
     code, text = squeal_rig("bag", "verify", tmp_path / "sound")
     assert (code, text.startswith("sound: 21 messages")) == (0, True)
-    assert squeal_rig("bag", "verify", tmp_path / "nothing")[0] == 2
+    (tmp_path / "text.mcap").write_text("no bag at all")
+    for nothing in (tmp_path / "nothing", tmp_path / "text.mcap"):
+        assert squeal_rig("bag", "verify", nothing)[0] == 2
 
 
 def test_recover_tells_what_is_lost(bag, tmp_path):

@@ -1,12 +1,16 @@
 """What `verify` tells: a sound bag is sound, and each kind of fault is named."""
 
 import shutil
+import zlib
 
 import pytest
 from bag_making import START, block_cdr, schema_of, string_cdr, write_bag
+from mcap.records import ChunkIndex
+from mcap.stream_reader import StreamReader
 
 from squeal_rig.errors import RecordingError
-from squeal_rig.recording import BagWriter
+from squeal_rig.recording import Bag, BagWriter
+from squeal_rig.recording.records import record_bytes
 from squeal_rig.recording.verify import verify
 
 
@@ -124,3 +128,57 @@ def test_a_bag_without_metadata_yaml_is_sound_with_a_warning(bag):
     assert verdict.sound
     assert any("metadata.yaml" in finding.where for finding in verdict.findings)
     shutil.rmtree(bag)
+
+
+def rewritten_index(path, change):
+    """Give a file another chunk index, made of the records it has, with checksums that fit."""
+    data = path.read_bytes()
+    start = int.from_bytes(data[-28:-20], "little")
+    with open(path, "rb") as stream:
+        entries = [r for r in StreamReader(stream, emit_chunks=True).records if isinstance(r, ChunkIndex)]
+    summary = data[start:-37]
+    first = summary.index(record_bytes(entries[0]))
+    size = sum(len(record_bytes(entry)) for entry in entries)
+    change(entries)
+    summary = summary[:first] + b"".join(map(record_bytes, entries)) + summary[first + size :]
+    footer = data[-37:-28] + start.to_bytes(8, "little") + bytes(8)
+    crc = zlib.crc32(summary + footer)
+    path.write_bytes(data[:start] + summary + footer + crc.to_bytes(4, "little") + data[-8:])
+
+
+def test_a_chunk_listed_twice_is_an_error_and_is_not_read_twice(bag):
+    path = bag / "run_0.mcap"
+    rewritten_index(path, lambda entries: entries.append(entries[1]))
+    assert any("lists the chunk at byte" in sentence and "twice" in sentence for sentence in errors(bag))
+    with pytest.raises(RecordingError, match="lists the chunk at byte"):
+        Bag(bag)
+
+
+def test_a_channel_that_is_missing_from_the_index_is_an_error(bag):
+    """Readers take a chunk for one without messages of the topic then."""
+    rewritten_index(bag / "run_0.mcap", lambda entries: entries[1].message_index_offsets.popitem())
+    assert any("message indexes elsewhere" in sentence for sentence in errors(bag))
+
+
+@pytest.mark.parametrize(
+    ("key", "words"),
+    [
+        ("lost_messages", "650 messages were lost on the way to the recorder"),
+        ("messages_lost_at_end", "650 messages were lost at the end"),
+        ("recovered_lost_messages", "650 messages were lost when it was recovered"),
+    ],
+)
+def test_what_a_bag_says_of_its_losses_is_told(tmp_path, key, words):
+    with BagWriter(tmp_path / "run", custom_data={key: "650"}):
+        pass
+    (finding,) = verify(tmp_path / "run").findings
+    assert words in finding.sentence
+
+
+@pytest.mark.parametrize("content", [b"", b"no bag at all" * 100, bytes(5000)])
+def test_files_that_are_no_mcap_are_no_bag(tmp_path, content):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "run_0.mcap").write_bytes(content)
+    for path in (tmp_path / "run", tmp_path / "run" / "run_0.mcap"):
+        with pytest.raises(RecordingError, match="is no bag"):
+            verify(path)

@@ -352,3 +352,30 @@ def test_a_refused_write_is_told_and_the_bag_still_closes_valid(tmp_path):
     assert [message.data for message in bag.messages()] == [
         number.to_bytes(1000, "little") for number in range(int(last) + 1)
     ]
+
+
+LAST_CHUNK = """
+import resource, sys
+from squeal_rig.errors import RecordingError
+from squeal_rig.recording import BagWriter, MessageSchema
+writer = BagWriter(sys.argv[1], compression="none", flush_interval=3600.0)
+handle = writer.add_topic("/raw", "far_away/msg/Thing", schema=MessageSchema("far_away/msg/Thing"))
+for number in range(100):
+    writer.write(handle, bytes(1000), number, number)
+soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, hard))
+try:
+    writer.close("complete")
+except RecordingError as error:
+    print(error)
+"""
+
+
+@pytest.mark.skipif(not hasattr(resource, "RLIMIT_FSIZE"), reason="needs a limit on file sizes")
+def test_a_last_chunk_that_does_not_fit_is_told_by_the_ending(tmp_path):
+    command = [sys.executable, "-c", LAST_CHUNK, str(tmp_path / "run")]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    assert run.stdout.startswith("Cannot write to ")
+    bag = Bag(tmp_path / "run")
+    assert bag.ending.startswith("stopped: the last 100 messages are lost: Cannot write to ")
+    assert (bag.message_count, bag.custom_data["messages_lost_at_end"]) == (0, "100")
