@@ -3,11 +3,12 @@
 import shutil
 
 import pytest
-from bag_making import START, block_cdr, schema_of, string_cdr, write_bag
+from bag_making import START, block_cdr, write_bag
 
 from squeal_rig.errors import RecordingError
 from squeal_rig.recording import BagWriter
 from squeal_rig.recording.verify import verify
+from tests.messages import schema_of, string_cdr
 
 
 def errors(directory):
