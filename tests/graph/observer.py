@@ -31,6 +31,7 @@ _TRANSITIONS = {
     "cleanup": Transition.TRANSITION_CLEANUP,
 }
 _REPEAT = 2.0
+_UNHEARD = 5.0
 # A transition that opens the model compiles it where its sources have changed; that takes tens of seconds.
 _COMPILING = 180.0
 _TOPICS = {
@@ -182,10 +183,19 @@ class Observer:
         return answer.success, answer.message
 
     def transition(self, name, rig="rig"):
-        """Take the rig through a lifecycle transition; returns whether it went."""
-        number = _TRANSITIONS[name]
-        request = ChangeState.Request(transition=Transition(id=number))
-        return self.call(ChangeState, f"{rig}/change_state", request, _COMPILING).success
+        """Take the rig through a lifecycle transition; returns whether it went.
+
+        Asked again where the state shows that nobody heard it, as after the rig was killed and started anew.
+        """
+        request = ChangeState.Request(transition=Transition(id=_TRANSITIONS[name]))
+        begin = self.state(rig)
+        while True:
+            try:
+                return self.call(ChangeState, f"{rig}/change_state", request, _UNHEARD).success
+            except AssertionError:
+                # Answered after a transition that is under way.
+                if self.state(rig) != begin:
+                    return True
 
     def state(self, rig="rig"):
         """Name of the rig's lifecycle state."""

@@ -45,8 +45,9 @@ def test_an_impact_changes_the_momentum_by_its_impulse_at_a_block_boundary(bench
 
 
 def test_reset_brings_the_pad_to_rest_at_the_equilibrium_of_what_is_in_force(bench):
-    assert bench.observer.set({"preload": 80.0}) == [(True, "")]
-    bench.observer.wait_for(lambda: bench.in_force()[0] == 80.0, "80 N in force")
+    # At 30 N sliding is stable: where it is not, rounding grows to a motion within some blocks.
+    assert bench.observer.set({"preload": 30.0}) == [(True, "")]
+    bench.observer.wait_for(lambda: bench.in_force()[0] == 30.0, "30 N in force")
     assert bench.observer.trigger("impact")[0]
     bench.observer.wait_for(lambda: np.ptp(bench.truth[-1].samples["x"]) > 1e-6, "a moving pad")
     assert bench.observer.trigger("reset")[0]
