@@ -11,7 +11,7 @@ from squeal_rig.instruments.settings import RigSettings
 from squeal_rig.instruments.virtual import VirtualRig
 from squeal_rig.model import RigParameters
 from squeal_rig.recording import BagWriter, QosProfile, cdr_from_samples, samples_from_cdr
-from tests.messages import TYPES, schema_of, serialised, string_cdr
+from tests.messages import TYPES, schema_of, string_cdr
 
 LATCHED = QosProfile(depth=1, durability="transient_local")
 PARAMETERS = RigParameters().replace(damping_x=20.0, damping_y=20.0)
