@@ -33,7 +33,7 @@ _TRANSITIONS = {
 _REPEAT = 2.0
 _UNHEARD = 5.0
 # A transition that opens the model compiles it where its sources have changed; that takes tens of seconds.
-_COMPILING = 180.0
+_COMPILING = 600.0
 _TOPICS = {
     "rig/description": (String, qos.LATCHED),
     "daq/samples": (PointCloud2, qos.BLOCKS),

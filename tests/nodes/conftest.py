@@ -10,7 +10,7 @@ from tests.graph.domains import private_domain
 from tests.graph.processes import Processes
 
 # Compiling the model for the first time takes tens of seconds on a slow machine.
-_COMPILING = 180.0
+_COMPILING = 600.0
 
 
 @pytest.fixture(scope="session")
@@ -27,8 +27,10 @@ def compiled(tmp_path_factory):
     with private_domain() as number:
         started = Processes(number, tmp_path_factory.mktemp("compile"))
         node = Observer(number)
-        started.node("simulator")
-        node.first("daq/samples", _COMPILING)
+        simulator = started.node("simulator")
+        blocks = node.follow_samples("daq/samples")
+        node.wait_for(lambda: blocks or not simulator.running, "the first block", _COMPILING)
+        assert simulator.running, simulator.errors
         node.close()
         started.end_all()
 
