@@ -31,14 +31,13 @@ demo: .venv/.ready
 reproduce: .venv/.ready
 	.venv/bin/squeal-rig reproduce $(ARGS)
 
-# What computes runs on two cores; what starts ROS graphs runs by itself, since its times are watched, and a test of it
-# is tried once more where it failed: discovery can be late on a busy machine. The summary counts what was tried again.
+# What computes runs on two cores; what starts ROS graphs runs by itself: it takes both.
 GRAPHS := tests/nodes tests/system tests/bags
 
 test: .venv/.ready
 ifeq ($(ARGS),)
 	$(PY) -m pytest -n 2 --dist loadfile $(addprefix --ignore=,$(GRAPHS))
-	$(PY) -m pytest --reruns 1 $(GRAPHS)
+	$(PY) -m pytest $(GRAPHS)
 else
 	$(PY) -m pytest $(ARGS)
 endif
@@ -54,7 +53,7 @@ lint: .venv/.lint
 
 bench-bags: .venv/.ready
 	$(PY) -m pytest -m bench -s tests/recording tests/bags $(ARGS)
-	$(PY) tests/bags/measure_bags.py 600
+	$(PY) -m tests.bags.measure_bags 600
 
 docs: .venv/.ready
 	$(PY) -m squeal_rig.catalogue.parameter_table > docs/parameters.md

@@ -72,7 +72,6 @@ setup(
             "pandas>=2.1",
             "pyarrow>=14.0",
             "pytest>=8.0",
-            "pytest-rerunfailures>=14.0",
             "pytest-xdist>=3.5",
             "rosbags>=0.10.11",
         ],

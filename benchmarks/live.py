@@ -3,37 +3,28 @@
 from __future__ import annotations
 
 import os
-import re
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from rcl_interfaces.srv import SetParametersAtomically
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.parameter import Parameter
-from rclpy.signals import SignalHandlerOptions
-from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64
-from std_srvs.srv import Trigger
 
-from squeal_rig.graph import qos
-from squeal_rig.graph.conversions import status_values
+from squeal_rig.graph.conversions import status_number, status_values
 from squeal_rig.recording import samples_from_cdr
-from squeal_rig.session.processes import NodeProcess, stop_all
+from tests.graph.domains import private_domain
+from tests.graph.observer import Observer
+from tests.graph.processes import Child, Processes
 
 NS = 10**9
 BLOCK_NS = NS // 100
-_TICK = os.sysconf("SC_CLK_TCK")
-#: Longest wait for a node [s]: a first start compiles.
-_PATIENCE = 300.0
+#: Longest wait for anything [s]: a first start compiles.
+PATIENCE = 300.0
 
 
 @dataclass
@@ -65,73 +56,56 @@ class Blocks:
             self.rms_x = float(np.std(daq["x"]))
 
 
-class Listener:
-    """Our node on the graph: takes blocks, windows and health, and talks to the rig."""
+class Listener(Observer):
+    """Our node on the graph: takes blocks, windows, summaries and health, talks to the rig, and starts nodes."""
 
-    def __init__(self) -> None:
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        self._node = Node("benchmark")
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(self._node)
+    def __init__(self, processes: Processes) -> None:
+        super().__init__(processes.domain)
+        self.processes = processes
         self._subscriptions: list[Any] = []
-        self.blocks = Blocks()
-        self.overruns = 0
-        self.windows: list[tuple[float, int]] = []  # mu, end of the window [ns]
-        self.means: list[tuple[float, int]] = []  # mu, when it came [ns]
-        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_health, qos.EVENTS)
-        self._set = self._node.create_client(SetParametersAtomically, "rig/set_parameters_atomically")
-        self._impact = self._node.create_client(Trigger, "rig/impact")
+        self.forget()
+        self.listen("/diagnostics", self._on_health)
 
     def listen_to_blocks(self) -> None:
         """Take `daq/samples` of the next run."""
         self.forget()
-        make = self._node.create_subscription
-        self._subscriptions.append(make(PointCloud2, "daq/samples", self.blocks.take, qos.BLOCKS, raw=True))
+        self._subscriptions.append(self.listen("daq/samples", self.blocks.take, raw=True))
 
     def listen_to_friction(self) -> None:
         """Take `friction/mu` and the windows that tell what time it belongs to."""
         self.forget()
-        make = self._node.create_subscription
-        self._subscriptions.append(make(PointCloud2, "friction/windows", self._on_window, qos.EVENTS, raw=True))
-        self._subscriptions.append(make(Float64, "friction/mu", self._on_mu, qos.EVENTS))
+        self._subscriptions.append(self.listen("friction/windows", self._on_window, raw=True))
+        self._subscriptions.append(self.listen("friction/mu", self._on_mu))
+
+    def listen_to_stability(self) -> None:
+        """Take the preload of the set point out of `stability/summary`."""
+        self.forget()
+        self._subscriptions.append(self.listen("stability/summary", self._on_summary))
 
     def forget(self) -> None:
         """End all of that, and start a new count."""
         for subscription in self._subscriptions:
-            self._node.destroy_subscription(subscription)
+            self.node.destroy_subscription(subscription)
         self._subscriptions = []
         self.blocks, self.overruns = Blocks(), 0
-        self.windows, self.means = [], []
+        self.windows: list[tuple[float, int]] = []
+        self.means: list[tuple[float, int]] = []
+        self.summaries: list[tuple[float, float]] = []
 
-    def spin(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
-        """Take what comes for that long [s], or until a condition holds; whether it did."""
-        deadline = time.monotonic() + seconds
-        while not (done := until()) and (left := deadline - time.monotonic()) > 0.0:
-            self._executor.spin_once(timeout_sec=min(left, 0.1))
-        return done
-
-    def wait(self, until: Callable[[], bool], what: str) -> None:
-        """Spin until a condition holds, within bounds."""
-        if not self.spin(_PATIENCE, until):
-            raise TimeoutError(f"{what} did not come within {_PATIENCE:g} s")
+    @contextmanager
+    def running(self, name: str, settings: Sequence[str] = ()) -> Iterator[Child]:
+        """A node as a process, ended with the block."""
+        node = self.processes.node(name, *(part for setting in settings for part in ("-p", setting)))
+        try:
+            yield node
+        finally:
+            node.end()
 
     def squeal(self) -> None:
         """Take the rig to 300 N and 6e7 N/m, give the pad an impact, and wait until it vibrates."""
-        values = {"preload": 300.0, "k1": 6e7, "k2": 6e7}
-        wanted = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
-        self._answer(self._set, SetParametersAtomically.Request(parameters=wanted))
-        self._answer(self._impact, Trigger.Request())
-        self.wait(lambda: self.blocks.rms_x > 1e-6, "squeal")
-
-    def close(self) -> None:
-        """Leave the graph."""
-        self._node.destroy_node()
-        rclpy.try_shutdown()
-
-    def _answer(self, client: Any, request: Any) -> None:
-        self.wait(client.service_is_ready, f"service {client.srv_name}")
-        future = client.call_async(request)
-        self.wait(future.done, f"the answer of {client.srv_name}")
+        self.set({"preload": 300.0, "k1": 6e7, "k2": 6e7}, atomically=True)
+        self.trigger("impact")
+        self.wait_for(lambda: self.blocks.rms_x > 1e-6, "squeal", PATIENCE)
 
     def _on_health(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -146,6 +120,21 @@ class Listener:
     def _on_mu(self, message: Float64) -> None:
         self.means.append((message.data, time.time_ns()))
 
+    def _on_summary(self, message: DiagnosticArray) -> None:
+        self.summaries.append((status_number(message.status[0], "preload [N]"), time.monotonic()))
+
+
+@contextmanager
+def listening() -> Iterator[Listener]:
+    """A listener on a domain of its own; every node that it started ends with the block."""
+    with private_domain() as domain, tempfile.TemporaryDirectory(prefix="squeal_rig_bench_") as logs:
+        listener = Listener(Processes(domain, Path(logs)))
+        try:
+            yield listener
+        finally:
+            listener.processes.end_all()
+            listener.close()
+
 
 @contextmanager
 def environment(name: str, value: str) -> Iterator[None]:
@@ -159,31 +148,3 @@ def environment(name: str, value: str) -> Iterator[None]:
             del os.environ[name]
         else:
             os.environ[name] = before
-
-
-class RunningNode:
-    """A node process with what /proc tells of it; a context manager that ends it."""
-
-    def __init__(self, name: str, parameters: Sequence[str] = ()) -> None:
-        self._logs = tempfile.TemporaryDirectory(prefix="squeal_rig_bench_")
-        arguments = [part for parameter in parameters for part in ("-p", parameter)]
-        self.started = time.time_ns()
-        self.process = NodeProcess(name, Path(self._logs.name), arguments)
-
-    def __enter__(self) -> RunningNode:
-        return self
-
-    def __exit__(self, *_error: object) -> None:
-        stop_all([self.process])
-        self._logs.cleanup()
-
-    def cpu_seconds(self) -> float:
-        """Processor time of all of its threads so far, user and system [s]."""
-        fields = Path(f"/proc/{self.process.pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
-        return (int(fields[11]) + int(fields[12])) / _TICK
-
-    def memory(self) -> float:
-        """Resident memory now [MB]."""
-        status = Path(f"/proc/{self.process.pid}/status").read_text(encoding="utf-8")
-        found = re.search(r"VmRSS:\s+(\d+) kB", status)
-        return int(found[1]) / 1024.0 if found else float("nan")

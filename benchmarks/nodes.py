@@ -11,14 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.live import Blocks, Listener, RunningNode, environment
+from benchmarks.live import PATIENCE, Blocks, Listener, environment, listening
 from squeal_rig.configuration.files import config_directory
 from squeal_rig.graph.conversions import cloud
 from squeal_rig.instruments.acquisition import Acquisition
 from squeal_rig.instruments.settings import RigSettings
 from squeal_rig.instruments.virtual import VirtualRig
 from squeal_rig.model import RigParameters
-from squeal_rig.session.run import private_domain
+from tests.graph.processes import Child
 
 RATES = (51_200, 102_400, 204_800, 400_000, 800_000, 1_000_000, 2_000_000)
 #: From here on a block does not fit into what Fast DDS shares with its readers by default [Hz].
@@ -28,6 +28,9 @@ DAMPED = ("damping_x:=20.0", "damping_y:=20.0")
 RATE_SECONDS = 10.0
 WINDOW = 0.02
 WINDOWS = 500
+UPDATES = 400
+#: Between two updates of a parameter [s].
+_REST = 0.1
 STARTS = 5
 #: Blocks at the start of a run that are not counted: discovery and the first use of everything [s].
 _SETTLING = 2.0
@@ -55,7 +58,7 @@ class Endurance:
     memory: tuple[float, float, float]
 
 
-def stretch(listener: Listener, node: RunningNode, seconds: float) -> Stretch:
+def stretch(listener: Listener, node: Child, seconds: float) -> Stretch:
     """Follow a running simulator for that long."""
     blocks = listener.blocks
     count, lost, overruns = blocks.count, blocks.lost, listener.overruns
@@ -75,8 +78,8 @@ def stretch(listener: Listener, node: RunningNode, seconds: float) -> Stretch:
 def endurance(listener: Listener, minutes: float) -> Endurance:
     """51.2 kHz in real time: the first half quiet, the second squealing."""
     listener.listen_to_blocks()
-    with RunningNode("simulator", DAMPED) as node:
-        listener.wait(lambda: listener.blocks.count > 0, "the first block")
+    with listener.running("simulator", DAMPED) as node:
+        listener.wait_for(lambda: listener.blocks.count > 0, "the first block", PATIENCE)
         listener.spin(_SETTLING)
         start = node.memory()
         quiet = stretch(listener, node, 30.0 * minutes)
@@ -89,8 +92,8 @@ def endurance(listener: Listener, minutes: float) -> Endurance:
 def at_rate(listener: Listener, rate: int, seconds: float) -> Stretch:
     """Squealing in real time at a sample rate [Hz]."""
     listener.listen_to_blocks()
-    with RunningNode("simulator", (*DAMPED, f"sample_rate:={rate}")) as node:
-        listener.wait(lambda: listener.blocks.count > 0, "the first block")
+    with listener.running("simulator", (*DAMPED, f"sample_rate:={rate}")) as node:
+        listener.wait_for(lambda: listener.blocks.count > 0, "the first block", PATIENCE)
         listener.squeal()
         listener.spin(_SETTLING)
         return stretch(listener, node, seconds)
@@ -120,23 +123,46 @@ def latencies(listener: Listener, windows: int) -> list[float]:
     """Time [ms] from a window's last sample to its `friction/mu` in our process, squealing, many short windows."""
     listener.listen_to_blocks()
     with (
-        RunningNode("friction_estimator", (f"window:={WINDOW}",)),
-        RunningNode("simulator", DAMPED),
+        listener.running("friction_estimator", (f"window:={WINDOW}",)),
+        listener.running("simulator", DAMPED),
     ):
-        listener.wait(lambda: listener.blocks.count > 0, "the first block")
+        listener.wait_for(lambda: listener.blocks.count > 0, "the first block", PATIENCE)
         listener.squeal()
         listener.listen_to_friction()
-        listener.wait(lambda: len(listener.means) >= windows, f"{windows} windows of friction")
+        listener.wait_for(lambda: len(listener.means) >= windows, f"{windows} windows of friction", PATIENCE)
         listener.spin(0.5)
         ends = dict(listener.windows)  # by the value of mu: no two windows of squeal share one
         return [(came - ends[mu]) / 1e6 for mu, came in listener.means if mu in ends]
 
 
+def update_times(listener: Listener, updates: int) -> list[float]:
+    """Time [ms] from asking the rig for another preload, by its parameter service, to the stability summary of it."""
+    with (
+        listener.running("friction_estimator"),
+        listener.running("stability"),
+        listener.running("simulator", DAMPED),
+    ):
+        listener.listen_to_stability()
+        listener.wait_for(lambda: listener.summaries, "a stability summary", PATIENCE)
+        listener.set({"preload": 50.0}, atomically=True)  # the service is found here, not in the first time
+        times = []
+        for number in range(updates):
+            preload = 50.0 + 0.25 * (number + 1)  # no two updates share one
+            listener.spin(_REST + number % 10 * 1e-3)  # at another moment of a block each time
+            asked = time.monotonic()
+            listener.set({"preload": preload}, atomically=True)
+            listener.wait_for(
+                lambda preload=preload: listener.summaries[-1][0] == preload, "the summary of an update", PATIENCE
+            )
+            times.append(1e3 * (next(came for told, came in listener.summaries if told == preload) - asked))
+        return times
+
+
 def start_times(listener: Listener) -> tuple[float, float]:
     """Times [s] from the start of the simulator's process to its first block: when due, and when it came to us."""
     listener.listen_to_blocks()
-    with RunningNode("simulator", DAMPED) as node:
-        listener.wait(lambda: listener.blocks.count > 0, "the first block")
+    with listener.running("simulator", DAMPED) as node:
+        listener.wait_for(lambda: listener.blocks.count > 0, "the first block", PATIENCE)
         blocks: Blocks = listener.blocks
         return (blocks.first_due - node.started) / 1e9, (blocks.first_received - node.started) / 1e9
 
@@ -152,23 +178,21 @@ def first_start(listener: Listener) -> float:
 
 def section(minutes: float) -> str:
     """Measure all of it; the section of docs/benchmarks.md, without its heading."""
-    private_domain()
     loads = [os.getloadavg()[0]]
-    listener = Listener()
-    try:
+    with listening() as listener:
         start_times(listener)  # compiles what is not yet compiled
         starts = [start_times(listener) for _ in range(STARTS)]
         first = first_start(listener)
         delays = latencies(listener, WINDOWS)
+        updates = update_times(listener, UPDATES)
         rates = {rate: at_rate(listener, rate, RATE_SECONDS) for rate in RATES}
         with environment(*PROFILES):
             large = {rate: at_rate(listener, rate, RATE_SECONDS) for rate in RATES if rate >= LARGE}
         loads.append(os.getloadavg()[0])
         long = endurance(listener, minutes)
         loads.append(os.getloadavg()[0])
-    finally:
-        listener.close()
     p50, p99 = np.percentile(delays, [50, 99])
+    update_p50, update_p99 = np.percentile(updates, [50, 99])
     due, came = (statistics.median(times) for times in zip(*starts, strict=True))
     return f"""\
 Real processes on a ROS domain of their own; one subscriber to `daq/samples`, in Python, counts blocks by `seq`.
@@ -194,6 +218,12 @@ With that file: {_highest(large)}
 
 From the time the last sample of a window was taken to the arrival of its `friction/mu` in a third process, squealing,
 {len(delays)} windows of {WINDOW:g} s: p50 {p50:.1f} ms, p99 {p99:.1f} ms, worst {max(delays):.1f} ms.
+
+### From a parameter update to `stability/summary`
+
+From the call of the rig's parameter service in a third process to the arrival of the summary of the new value there,
+{len(updates)} updates of the preload, {_REST:g} s apart: p50 {update_p50:.1f} ms, p99 {update_p99:.1f} ms, worst \
+{max(updates):.1f} ms.
 
 ### Start of a node
 

@@ -37,8 +37,8 @@ class RigOutputs:
 
     def __init__(self, node: Node, publishes_truth: bool, publishes_clock: bool) -> None:
         make = node.create_publisher
-        self._daq = make(PointCloud2, "daq/samples", qos.BLOCKS)
-        self._truth = make(PointCloud2, "truth/samples", qos.BLOCKS) if publishes_truth else None
+        names = ("daq/samples", "truth/samples") if publishes_truth else ("daq/samples",)
+        self._samples = {name: make(PointCloud2, name, qos.BLOCKS) for name in names}
         self._state = make(JointState, "pad/state", qos.BLOCKS)
         self._wrench = make(WrenchStamped, "contact/wrench", qos.BLOCKS)
         self._description = make(String, "rig/description", qos.LATCHED)
@@ -51,15 +51,22 @@ class RigOutputs:
 
     def publish(self, block: Block, p: RigParameters, drum_radius: float) -> None:
         """Publish a block and what follows from it."""
-        self._daq.publish(cloud(block.daq, block.stamp))
-        if self._truth is not None and block.truth is not None:
-            self._truth.publish(cloud(block.truth, block.stamp))
+        for name, samples in (("daq/samples", block.daq), ("truth/samples", block.truth)):
+            if samples is not None and name in self._samples:
+                self._samples[name].publish(cloud(samples, block.stamp))
         means = block_means(block, p, drum_radius)
         self._state.publish(joint_state(block.stamp, means.position, means.velocity))
         self._wrench.publish(wrench(block.stamp, means.tangential, means.normal))
         self._end = block.stamp + _BLOCK_NS
         if self._clock is not None:
             self._clock.publish(Clock(clock=time_message(self._end)))
+
+    def listeners(self) -> dict[str, int]:
+        """Topic of samples -> subscribers that no block is lost for from now on.
+
+        The graph knows of a subscriber before a publisher does: who must have the first block waits for this count.
+        """
+        return {name: self._samples[name].get_subscription_count() for name in self._samples}
 
     def describe(self, description: RigDescription) -> None:
         """Publish the description, latched."""

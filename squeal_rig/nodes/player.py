@@ -204,6 +204,7 @@ class PlayerNode(Node):
             "of": sum(self._bag.topics[topic].message_count for topic in self._outputs),
             "position [s]": round(transport.position, 3),
             "loops": transport.loops,
+            "fewest listeners": min(publisher.get_subscription_count() for publisher in self._outputs.values()),
             "worst lateness [ms]": round(transport.worst_lateness * 1e3, 3),
         }
         state = "paused" if transport.paused else "playing"

@@ -221,6 +221,7 @@ class RigNode(LifecycleNode):
             "behind [ms]": round(1e3 * behind, 1),
             "skipped [s]": round(self._pacer.skipped_seconds, 3),
             "tared": bool(acquisition is not None and acquisition.tare),
+            **{f"listeners to {topic}": count for topic, count in self._outputs.listeners().items()},
         }
         warnings, self._warnings = self._warnings, ()  # those of the last second
         if self._fault:

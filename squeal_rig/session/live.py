@@ -29,6 +29,7 @@ from squeal_rig.instruments.channels import DAQ_CHANNELS, FRICTION_WINDOW_CHANNE
 _SERVICE_TIMEOUT = 10.0
 _STALL_TIMEOUT = 10.0
 _SPIN = 0.05
+_LISTENERS = "listeners to "  # of the rig's health
 
 
 @dataclass
@@ -49,6 +50,7 @@ class LiveState:
     level: float = math.nan
     frequency: float = math.nan
     recorded_bytes: float = math.nan
+    rig_listeners: dict[str, int] = field(default_factory=dict)
     health: dict[str, tuple[int, str]] = field(default_factory=dict)
 
 
@@ -99,6 +101,15 @@ class LiveGraph:
     def listeners(self, topic: str) -> int:
         """Subscribers to a topic that the graph knows of."""
         return self._node.count_subscribers(self._node.resolve_topic_name(topic))
+
+    def rig_is_heard_by(self, count: int) -> bool:
+        """Whether the rig itself counts that many listeners to its samples, and on each topic all the graph knows of.
+
+        The graph knows of a subscriber some time before the rig's publisher does, and what is published in between it
+        does not get.
+        """
+        counts = self.state.rig_listeners
+        return counts.get("daq/samples", 0) >= count and all(n >= self.listeners(t) for t, n in counts.items())
 
     def transition(self, number: int, timeout: float) -> None:
         """Take the rig through a lifecycle transition; `ExperimentError` when it fails."""
@@ -198,3 +209,9 @@ class LiveGraph:
             self.state.health[status.name] = (int.from_bytes(status.level, "little"), status.message)
             if status.name.split("/")[-1] == "recorder":
                 self.state.recorded_bytes = status_number(status, "bytes")
+            if status.name.split("/")[-1] == "rig":
+                self.state.rig_listeners = {
+                    key.removeprefix(_LISTENERS): int(value)
+                    for key, value in status_values(status).items()
+                    if key.startswith(_LISTENERS)
+                }

@@ -26,9 +26,6 @@ from squeal_rig.session.processes import NodeProcess, stop_all
 CONSUMERS = ("friction_estimator", "stability", "squeal_detector")
 # Compiling for the first time takes tens of seconds on a slow machine.
 _START_TIMEOUT = 120.0
-# A subscriber seen in the graph is matched this much later at the latest [s], as far as was seen.
-_MATCHING = 0.5
-_SAMPLE_TOPIC = "daq/samples"
 
 
 class InterruptedByOperator(Exception):  # noqa: N818
@@ -127,8 +124,7 @@ def _start(options: SessionOptions, nodes: list[NodeProcess], logs: Path, graph:
     if options.bag is not None:
         nodes.append(NodeProcess("recorder", logs, [*files, "-p", f"directory:={options.bag}"]))
     listeners = len(nodes)  # all but the simulator, and ourselves
-    graph.wait_for(lambda: graph.listeners(_SAMPLE_TOPIC) >= listeners, "all nodes listening", _START_TIMEOUT)
-    graph.spin(_MATCHING)
+    graph.wait_for(lambda: graph.rig_is_heard_by(listeners), "all nodes listening", _START_TIMEOUT)
     graph.transition(Transition.TRANSITION_ACTIVATE, _START_TIMEOUT)
     graph.wait_for(lambda: graph.sampled_time() > 0.0, "the first block of samples", _START_TIMEOUT)
 

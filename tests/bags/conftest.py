@@ -1,30 +1,32 @@
-"""Domains, children and clients for tests of whole processes."""
-
-import os
+"""Children and an observer of each test's own."""
 
 import pytest
 
-
-@pytest.fixture(scope="module")
-def bag_domain():
-    """A ROS domain: the one of the environment, else one of this process."""
-    pytest.importorskip("rclpy")
-    return int(os.environ.get("ROS_DOMAIN_ID") or 1 + os.getpid() % 100)
+from tests.graph.processes import Processes
 
 
 @pytest.fixture
-def children(bag_domain, tmp_path):
-    from bag_nodes import Children
-
-    started = Children(bag_domain, tmp_path)
+def processes(domain, tmp_path):
+    """Starts children on the module's domain; none outlives the test."""
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    started = Processes(domain, folder)
     yield started
     started.end_all()
 
 
 @pytest.fixture
-def client(bag_domain):
-    from bag_nodes import Client
+def observer(domain):
+    """The test's own node on the module's domain."""
+    pytest.importorskip("rclpy")
+    from tests.graph.observer import Observer
 
-    node = Client(bag_domain)
+    node = Observer(domain)
     yield node
     node.close()
+
+
+@pytest.fixture
+def health(observer):
+    """What comes on `/diagnostics` from now on."""
+    return observer.follow("/diagnostics")

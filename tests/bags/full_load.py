@@ -1,11 +1,13 @@
 """Publishes everything a full rig does, at its rates, with payloads that can be made again from their numbers.
 
-Run as a script: `full_load.py LOG [SECONDS [wait]]`. Each line of LOG is a tick's number and the time [ns] after it.
+Run as a script: `full_load.py LOG SECONDS LISTENERS`; the first block comes when so many listen to every topic. Each
+line of LOG is a tick's number and the time [ns] after it.
 """
 
 import sys
 import time
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 
@@ -71,7 +73,19 @@ def small_payload(topic, number):
     return head + names + position + velocity + b"\0\0\0\0"
 
 
-def main(log, seconds, wait):
+def start_load(processes, log, seconds=3600.0, listeners=0):
+    """Start the full load; its first block comes when so many listen to every topic."""
+    return processes.start([sys.executable, Path(__file__), log, seconds, listeners])
+
+
+def published(log):
+    """(number of blocks published, time of the last one [ns]) as the load's log tells."""
+    lines = log.read_text().splitlines() if log.exists() else []
+    whole = [line for line in lines if len(line.split()) == 2]
+    return (int(whole[-1].split()[0]) + 1, int(whole[-1].split()[1])) if whole else (0, 0)
+
+
+def main(log, seconds, listeners):
     """Publish until the time is over or a signal comes."""
     import rclpy
     from geometry_msgs.msg import WrenchStamped
@@ -92,12 +106,9 @@ def main(log, seconds, wait):
     clouds = {topic: node.create_publisher(PointCloud2, topic, 100) for topic in CLOUDS}
     kinds = {"/pad/state": JointState, "/contact/wrench": WrenchStamped}
     small = {topic: node.create_publisher(kind, topic, 100) for topic, kind in kinds.items()}
-    publishers = [*clouds.values(), *small.values()]
-    patience = time.monotonic() + 20.0
-    while wait and time.monotonic() < patience and not all(p.get_subscription_count() for p in publishers):
-        rclpy.spin_once(node, timeout_sec=0.1)
-    matched = time.monotonic() + (2.0 if wait else 0.0)  # a subscriber known here may not know us yet
-    while time.monotonic() < matched:
+    # From a match on, a reliable publisher keeps its last 100 messages for the subscriber, also where that one has not
+    # found us yet.
+    while any(p.get_subscription_count() < listeners for p in (*clouds.values(), *small.values())):
         rclpy.spin_once(node, timeout_sec=0.1)
     stream = open(log, "w", buffering=1)
     start, number = time.monotonic(), 0
@@ -119,4 +130,4 @@ def main(log, seconds, wait):
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], float(sys.argv[2]) if len(sys.argv) > 2 else 3600.0, "wait" in sys.argv)
+    main(sys.argv[1], float(sys.argv[2]), int(sys.argv[3]))

@@ -1,12 +1,11 @@
 """Measures recording, replay, export and verification at full load; prints a Markdown report.
 
-Run: `python tests/bags/measure_bags.py [SECONDS] [FOLDER]`. SECONDS is the length of the recording (600 for the
+Run: `python -m tests.bags.measure_bags [SECONDS] [FOLDER]`. SECONDS is the length of the recording (600 for the
 numbers in docs/benchmarks_bags.md), FOLDER where the bags go (a temporary one without).
 """
 
 import json
 import os
-import signal
 import subprocess
 import sys
 import tempfile
@@ -14,15 +13,18 @@ import time
 from pathlib import Path
 
 import numpy as np
-from bag_nodes import Children, Client, ended, published
-from full_load import CLOUDS, ROWS, SMALL, layout, payload
 
 from squeal_rig.recording import Bag, BagWriter, installed_schema, samples_from_cdr
 from squeal_rig.recording.verify import verify
+from tests.graph.domains import private_domain
+from tests.graph.observer import Observer
+from tests.graph.processes import Processes, parameters
+from tests.graph.statuses import health_of
+
+from .full_load import CLOUDS, ROWS, SMALL, layout, payload, published, start_load
 
 _TOPIC = "/daq/samples"
 _TYPE = "sensor_msgs/msg/PointCloud2"
-_TICKS = os.sysconf("SC_CLK_TCK")
 
 
 def say(line=""):
@@ -96,45 +98,39 @@ def throughput(folder, count=4000, rounds=3):
 class Watch:
     """CPU time and memory of a process, once a second."""
 
-    def __init__(self, process):
-        self._path = Path(f"/proc/{process.pid}")
-        self.memory, self._started = [], (time.monotonic(), self._cpu())
+    def __init__(self, child):
+        self._child = child
+        self.memory, self._started = [], (time.monotonic(), child.cpu_seconds())
         self._last = 0.0
 
     def look(self):
         """Take a value if one is due."""
         if time.monotonic() - self._last >= 1.0:
             self._last = time.monotonic()
-            status = (self._path / "status").read_text()
-            self.memory.append(int(status.split("VmRSS:")[1].split()[0]) / 1024)
+            self.memory.append(self._child.memory())
 
     def share(self):
         """CPU time over time since the start."""
-        return (self._cpu() - self._started[1]) / (time.monotonic() - self._started[0])
-
-    def _cpu(self):
-        fields = (self._path / "stat").read_text().rsplit(")", 1)[1].split()
-        return (int(fields[11]) + int(fields[12])) / _TICKS
+        return (self._child.cpu_seconds() - self._started[1]) / (time.monotonic() - self._started[0])
 
 
 def full_load(folder, seconds, domain):
     """Record a full rig's load; returns the bag."""
-    children, client = Children(domain, folder), Client(domain)
+    processes, observer = Processes(domain, folder), Observer(domain)
     try:
-        recorder = children.node("recorder", directory=folder / "full")
-        client.wait_for(lambda: "recorder" in client.health, "the recorder")
-        load = children.load(folder / "load.txt", seconds, wait=True)
-        client.wait_for(lambda: client.messages_recorded() > 500, "recorded messages")
+        health = observer.follow("/diagnostics")
+        recorder = processes.node("recorder", *parameters(directory=folder / "full"))
+        load = start_load(processes, folder / "load.txt", seconds, listeners=1)
+        observer.wait_for(lambda: published(folder / "load.txt")[0] > 100, "published blocks")
         watch = Watch(recorder)
-        while load.poll() is None:
-            client.wait_for(lambda: True, "")
-            time.sleep(0.2)
+        while load.running:
+            observer.spin(0.2)
             watch.look()
-        cpu, lost = watch.share(), client.health["recorder"][2]["lost messages"]
-        code = ended(recorder, signal.SIGINT)
+        cpu, lost = watch.share(), health_of(health, "recorder")[2]["lost messages"]
+        code, _ = recorder.end()
     finally:
-        client.close()
-        children.end_all()
+        observer.close()
+        processes.end_all()
     bag = Bag(folder / "full")
     blocks = published(folder / "load.txt")[0]
     recorded = {topic: bag.topics[topic].message_count for topic in (*CLOUDS, *SMALL)}
@@ -158,20 +154,21 @@ def spacing(bag, folder, domain, seconds):
     from squeal_rig.recording.rewrite import cut
 
     cut(bag.path, folder / "piece", 0.0, min(seconds, bag.duration))
-    children, client = Children(domain, folder), Client(domain)
+    topics = [*CLOUDS, *SMALL]
+    logs = folder / "spacing"
+    logs.mkdir()
+    processes = Processes(domain, logs)
     try:
-        recorder = children.node("recorder", directory=folder / "again", topics=[*CLOUDS, *SMALL])
-        client.wait_for(lambda: "recorder" in client.health, "the recorder")
-        player = children.node("player", bag=folder / "piece", topics=[*CLOUDS, *SMALL], wait_for_subscribers=15.0)
+        recorder = processes.node("recorder", *parameters(directory=folder / "again", topics=topics))
+        settings = parameters(bag=folder / "piece", topics=topics, wait_for_subscribers=15.0)
+        player = processes.node("player", *settings)
         watch = Watch(player)
-        while player.poll() is None:
+        while player.running:
             share = watch.share()
             time.sleep(0.2)
-        client.wait_for(lambda: True, "")
-        ended(recorder)
+        recorder.end()
     finally:
-        client.close()
-        children.end_all()
+        processes.end_all()
     first, second = Bag(folder / "piece"), Bag(folder / "again")
     before = np.sort([m.log_time for m in first.messages([*CLOUDS, *SMALL])])
     after = np.sort([m.publish_time for m in second.messages()])
@@ -251,11 +248,8 @@ def measure(seconds, folder, domain):
 
 
 if __name__ == "__main__":
-    chosen = int(os.environ.get("ROS_DOMAIN_ID") or 1 + os.getpid() % 100)
     length = float(sys.argv[1]) if len(sys.argv) > 1 else 60.0
-    if len(sys.argv) > 2:
-        Path(sys.argv[2]).mkdir(parents=True, exist_ok=True)
-        measure(length, Path(sys.argv[2]).absolute(), chosen)
-    else:
-        with tempfile.TemporaryDirectory(prefix="bags_") as temporary:
-            measure(length, Path(temporary), chosen)
+    with private_domain() as number, tempfile.TemporaryDirectory(prefix="bags_") as temporary:
+        chosen = Path(sys.argv[2] if len(sys.argv) > 2 else temporary).absolute()
+        chosen.mkdir(parents=True, exist_ok=True)
+        measure(length, chosen, number)

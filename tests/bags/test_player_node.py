@@ -4,29 +4,26 @@ import json
 
 import numpy as np
 import pytest
-from bag_nodes import Children, ended, published, wait_until
-from full_load import CLOUDS, SMALL
 
 from squeal_rig.recording import Bag
+from tests.graph.processes import Processes, parameters
+from tests.graph.statuses import health_of
+
+from .full_load import CLOUDS, SMALL, published, start_load
 
 TOPICS = (*CLOUDS, *SMALL, "/rig/description")
 
 
 @pytest.fixture(scope="module")
-def recorded(bag_domain, tmp_path_factory):
+def recorded(domain, tmp_path_factory):
     """A bag of some seconds of full load."""
-    from bag_nodes import Client
-
     folder = tmp_path_factory.mktemp("player")
-    children, client = Children(bag_domain, folder), Client(bag_domain)
-    recorder = children.node("recorder", directory=folder / "run", topics=TOPICS)
-    client.wait_for(lambda: "recorder" in client.health, "the recorder")
-    load = children.load(folder / "load.txt", 4.0, wait=True)
-    assert load.wait(60) == 0
+    started = Processes(domain, folder)
+    recorder = started.node("recorder", *parameters(directory=folder / "run", topics=TOPICS))
+    load = start_load(started, folder / "load.txt", 4.0, listeners=1)
+    assert load.wait() == 0
     assert published(folder / "load.txt")[0] > 350
-    assert ended(recorder) == 0
-    client.close()
-    children.end_all()
+    assert recorder.end()[0] == 0
     return folder / "run"
 
 
@@ -38,14 +35,14 @@ def messages(bag):
     return found
 
 
-def test_record_replay_record_gives_the_same_again(children, client, tmp_path, recorded, record_property):
-    recorder = children.node("recorder", directory=tmp_path / "again", topics=TOPICS)
-    client.wait_for(lambda: "recorder" in client.health, "the recorder")
-    player = children.node("player", bag=recorded, topics=["*"], wait_for_subscribers=15.0)
-    assert player.wait(60) == 0, player.log.read_text()
+def test_record_replay_record_gives_the_same_again(processes, observer, health, tmp_path, recorded, record_property):
+    recorder = processes.node("recorder", *parameters(directory=tmp_path / "again", topics=TOPICS))
+    observer.wait_for(lambda: health_of(health, "recorder"), "the recorder")
+    player = processes.node("player", *parameters(bag=recorded, topics=["*"], wait_for_subscribers=15.0))
+    assert observer.wait_for_end(player) == 0, player.errors
     first = Bag(recorded)
-    client.wait_for(lambda: client.messages_recorded() >= first.message_count, "all messages")
-    assert ended(recorder) == 0
+    observer.wait_for(lambda: int(health_of(health, "recorder")[2]["messages"]) >= first.message_count, "all messages")
+    assert recorder.end()[0] == 0
     second = Bag(tmp_path / "again")
     assert {n: (t.type_name, t.type_hash, t.message_count, t.qos) for n, t in first.topics.items()} == {
         n: (t.type_name, t.type_hash, t.message_count, t.qos) for n, t in second.topics.items()
@@ -61,38 +58,39 @@ def test_record_replay_record_gives_the_same_again(children, client, tmp_path, r
     assert p50 < 1.0
 
 
-def test_services_and_parameters_control_the_replay(children, client, recorded):
+def test_services_and_parameters_control_the_replay(processes, observer, health, recorded):
     from rosgraph_msgs.msg import Clock
 
     clocks = []
-    client.node.create_subscription(
+    observer.node.create_subscription(
         Clock, "/clock", lambda m: clocks.append(m.clock.sec * 10**9 + m.clock.nanosec), 100
     )
-    player = children.node("player", bag=recorded, topics=["daq/*"], start_paused=True, loop=True, clock=True)
+    settings = parameters(bag=recorded, topics=["daq/*"], start_paused=True, loop=True, clock=True)
+    player = processes.node("player", *settings)
 
     def told(key):
-        return float(client.health["player"][2][key]) if "player" in client.health else -1.0
+        return float(health_of(health, "player")[2][key])
 
-    client.wait_for(lambda: "player" in client.health, "the player")
+    observer.wait_for(lambda: health_of(health, "player"), "the player")
     assert told("messages") == 0.0
-    assert client.trigger("player/step")[0]
-    client.wait_for(lambda: told("messages") == 1.0, "one message")
-    assert client.set("/player", "seek_to", 2.0) == (True, "")
-    client.wait_for(lambda: told("position [s]") == 2.0, "the place sought")
-    assert client.set("/player", "seek_to", 1e6)[0] is False
-    assert client.set("/player", "rate", 0.5) == (True, "")
-    assert client.trigger("player/resume")[0]
-    assert client.trigger("player/step")[0] is False
-    client.wait_for(lambda: told("loops") >= 1.0, "the next loop")
-    assert client.trigger("player/pause")[0]
+    assert observer.trigger("step", "player")[0]
+    observer.wait_for(lambda: told("messages") == 1.0, "one message")
+    assert observer.set({"seek_to": 2.0}, "player") == [(True, "")]
+    observer.wait_for(lambda: told("position [s]") == 2.0, "the place sought")
+    assert observer.set({"seek_to": 1e6}, "player")[0][0] is False
+    assert observer.set({"rate": 0.5}, "player") == [(True, "")]
+    assert observer.trigger("resume", "player")[0]
+    assert observer.trigger("step", "player")[0] is False
+    observer.wait_for(lambda: told("loops") >= 1.0, "the next loop")
+    assert observer.trigger("pause", "player")[0]
     start, end = Bag(recorded).start_time, Bag(recorded).end_time
     assert clocks
     assert all(start <= clock <= end for clock in clocks)
     assert min(clocks[-1], clocks[0]) < start + 3_000_000_000
-    assert ended(player) == 0
+    assert player.end()[0] == 0
 
 
-def test_a_bag_written_by_rosbags_plays_under_another_name(children, client, tmp_path):
+def test_a_bag_written_by_rosbags_plays_under_another_name(processes, observer, tmp_path):
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
     from std_msgs.msg import String
@@ -105,18 +103,16 @@ def test_a_bag_written_by_rosbags_plays_under_another_name(children, client, tmp
             data = store.serialize_cdr(kind(f"word {number}"), kind.__msgtype__)
             writer.write(connection, 10**18 + number * 10_000_000, data)
     heard = []
-    client.node.create_subscription(String, "/lab/words", lambda message: heard.append(message.data), 100)
-    player = children.node(
-        "player", bag=tmp_path / "foreign", topics=["*"], remap=["/:=/lab/"], wait_for_subscribers=15.0
-    )
-    client.wait_for(lambda: len(heard) == 20, "all words", 30.0)
+    observer.node.create_subscription(String, "/lab/words", lambda message: heard.append(message.data), 100)
+    settings = parameters(bag=tmp_path / "foreign", topics=["*"], remap=["/:=/lab/"], wait_for_subscribers=15.0)
+    player = processes.node("player", *settings)
+    observer.wait_for(lambda: len(heard) == 20, "all words")
     assert heard == [f"word {number}" for number in range(20)]
-    wait_until(lambda: player.poll() is not None, "the player's end")
-    assert player.returncode == 0
+    assert observer.wait_for_end(player) == 0
 
 
 @pytest.mark.parametrize(
-    ("parameters", "sentence"),
+    ("settings", "sentence"),
     [
         ({"bag": "/no/such/bag"}, "There is no bag at /no/such/bag"),
         ({"rate": 0.001}, "rate = 0.001 is out of bounds"),
@@ -125,9 +121,8 @@ def test_a_bag_written_by_rosbags_plays_under_another_name(children, client, tmp
         ({"remap": ["nonsense"]}, "is no rule"),
     ],
 )
-def test_bad_input_ends_the_player_with_a_sentence(children, recorded, parameters, sentence):
-    player = children.node("player", **{"bag": recorded, **parameters})
-    assert player.wait(30) == 2
-    log = player.log.read_text()
-    assert sentence in log
-    assert "Traceback" not in log
+def test_bad_input_ends_the_player_with_a_sentence(processes, recorded, settings, sentence):
+    player = processes.node("player", *parameters(**{"bag": recorded, **settings}))
+    assert player.wait() == 2
+    assert sentence in player.errors
+    assert "Traceback" not in player.errors

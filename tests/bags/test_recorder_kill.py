@@ -5,12 +5,14 @@ import signal
 import time
 
 import pytest
-from bag_nodes import published
-from full_load import CLOUDS, ROWS, SMALL, payload, small_payload
 
 from squeal_rig.recording import Bag, samples_from_cdr
 from squeal_rig.recording.recover import recover
 from squeal_rig.recording.verify import verify
+from tests.graph.processes import parameters
+from tests.graph.statuses import health_of
+
+from .full_load import CLOUDS, ROWS, SMALL, payload, published, small_payload, start_load
 
 _MATCHING = 500_000_000  # [ns]
 
@@ -20,26 +22,27 @@ def same(got, sent):
     return got[: len(sent)] == sent and got[len(sent) :] == bytes(-len(sent) % 4)
 
 
-def kill_and_recover(children, client, tmp_path, number, moment):
+def kill_and_recover(processes, observer, health, tmp_path, number, moment):
     """Record the load into a new bag, kill at `moment` [s] after all topics come in; check what comes back."""
     directory = tmp_path / f"run{number}"
-    client.health.clear()
-    recorder = children.node("recorder", directory=directory)
+    health.clear()
+    recorder = processes.node("recorder", *parameters(directory=directory))
     rates = []
 
     def full_rate():
         """Between two reports of the recorder, a second apart, all topics came in: discovery is over."""
-        told = client.health["recorder"][2] if "recorder" in client.health else {}
+        found = health_of(health, "recorder")
+        told = found[2] if found else {}
         # What the one before still told may only arrive now.
         if told.get("directory") == str(directory) and told["messages"] not in map(str, rates):
             rates.append(int(told["messages"]))
         return len(rates) > 1 and rates[-1] - rates[-2] >= 480
 
-    client.wait_for(full_rate, "five topics at 100 Hz")
+    observer.wait_for(full_rate, "five topics at 100 Hz")
     time.sleep(moment)  # the moment of the kill itself, not a wait for something
-    recorder.send_signal(signal.SIGKILL)
+    recorder.send(signal.SIGKILL)
     killed = time.time_ns()
-    recorder.wait(10)
+    recorder.wait()
     report = recover(directory, tmp_path / f"out{number}")
     assert not report.closed
     assert report.lost == report.damaged_chunks == report.unproved == 0
@@ -69,21 +72,23 @@ def kill_and_recover(children, client, tmp_path, number, moment):
 
 
 @pytest.fixture
-def load(children, tmp_path):
+def load(processes, tmp_path):
     log = tmp_path / "load.txt"
-    children.load(log)
+    start_load(processes, log)
     return log
 
 
-def test_a_killed_recorder_loses_less_than_the_last_second(children, client, tmp_path, load, record_property):
+def test_a_killed_recorder_loses_less_than_the_last_second(
+    processes, observer, health, tmp_path, load, record_property
+):
     moments = random.Random(31)
-    lost = [kill_and_recover(children, client, tmp_path, n, moments.uniform(1.0, 2.0)) for n in range(2)]
+    lost = [kill_and_recover(processes, observer, health, tmp_path, n, moments.uniform(1.0, 2.0)) for n in range(2)]
     record_property("seconds_lost", lost)
     assert published(load)[0] > 0
 
 
 @pytest.mark.bench
-def test_50_kills(children, client, tmp_path, load):
+def test_50_kills(processes, observer, health, tmp_path, load):
     moments = random.Random(32)
-    lost = [kill_and_recover(children, client, tmp_path, n, moments.uniform(1.0, 3.0)) for n in range(50)]
+    lost = [kill_and_recover(processes, observer, health, tmp_path, n, moments.uniform(1.0, 3.0)) for n in range(50)]
     print(f"\n50 kills: lost at most {max(lost):.3f} s, {sum(lost) / len(lost):.3f} s in the mean")  # noqa: T201

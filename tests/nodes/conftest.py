@@ -1,29 +1,16 @@
-"""Domains, processes and an observer for the tests of nodes; a running rig with its estimators to share."""
+"""A running rig with its estimators to share."""
 
+import time
 from dataclasses import dataclass, field
 
 import pytest
 
 from squeal_rig.configuration.files import config_directory
-
-from .domains import private_domain
-from .processes import Processes
+from tests.graph.domains import private_domain
+from tests.graph.processes import Processes
 
 # Compiling the model for the first time takes tens of seconds on a slow machine.
-_COMPILING = 180.0
-_MEASURED = pytest.StashKey[list]()
-
-
-def pytest_terminal_summary(terminalreporter, config):
-    """Show what was measured: the tests assert far wider bounds, since machines are noisy."""
-    for line in config.stash.get(_MEASURED, []):
-        terminalreporter.write_line(f"measured: {line}")
-
-
-@pytest.fixture
-def measured(request):
-    """Keeps a sentence with a measured number for the end of the test's output."""
-    return request.config.stash.setdefault(_MEASURED, []).append
+_COMPILING = 600.0
 
 
 @pytest.fixture(scope="session")
@@ -32,42 +19,18 @@ def config_file():
     return config_directory() / "rig.yaml"
 
 
-@pytest.fixture(scope="module")
-def domain():
-    """A ROS domain of this module alone."""
-    with private_domain() as number:
-        yield number
-
-
-@pytest.fixture(scope="module")
-def processes(domain, tmp_path_factory):
-    """Starts children on the module's domain; all are gone at its end."""
-    started = Processes(domain, tmp_path_factory.mktemp("logs"))
-    yield started
-    started.end_all()
-
-
-@pytest.fixture(scope="module")
-def observer(domain):
-    """The test's own node on the module's domain."""
-    # Imported here, so that collecting needs no ROS.
-    from .observer import Observer
-
-    node = Observer(domain)
-    yield node
-    node.close()
-
-
 @pytest.fixture(scope="session")
 def compiled(tmp_path_factory):
     """Has the compiled model on disk, so that nodes start as they do from the second time on."""
-    from .observer import Observer
+    from tests.graph.observer import Observer
 
     with private_domain() as number:
         started = Processes(number, tmp_path_factory.mktemp("compile"))
         node = Observer(number)
-        started.node("simulator")
-        node.first("daq/samples", _COMPILING)
+        simulator = started.node("simulator")
+        blocks = node.follow_samples("daq/samples")
+        node.wait_for(lambda: blocks or not simulator.running, "the first block", _COMPILING)
+        assert simulator.running, simulator.errors
         node.close()
         started.end_all()
 
@@ -120,17 +83,20 @@ class Bench:
         assert self.observer.trigger("reset")[0]
         self.next_block()
 
-    def next_block(self):
-        """The second block from now: a change made before is in force in it."""
-        newest, size = self.daq[-1].samples["seq"][-1], len(self.daq[-1].samples)
-        self.observer.wait_for(lambda: self.daq[-1].samples["seq"][-1] >= newest + 2 * size, "the next blocks")
-        return self.daq[-1]
+    def next_block(self, blocks=None):
+        """The newest block of `daq/samples`, or of others, once it was begun after now: changes made before are in it.
+
+        By its stamp, since blocks made before a change may arrive after the answer to it.
+        """
+        blocks, now = self.daq if blocks is None else blocks, time.time_ns()
+        self.observer.wait_for(lambda: blocks[-1].stamp_ns >= now, "the next block")
+        return blocks[-1]
 
 
 @pytest.fixture(scope="session")
 def running(compiled, tmp_path_factory, config_file):
     """A rig, an estimator, stability and the squeal detector, all on the parameters that ship, sampling."""
-    from .observer import Observer
+    from tests.graph.observer import Observer
 
     files = ["--params-file", str(config_file)]
     names = ("friction_estimator", "stability", "squeal_detector", "simulator")

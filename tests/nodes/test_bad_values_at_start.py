@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from .processes import parameters
+from tests.graph.processes import parameters
 
 pytest.importorskip("rclpy")
 

@@ -10,9 +10,8 @@ from rosbags.rosbag2 import Reader
 
 from squeal_rig.recording import Bag, samples_from_cdr
 from squeal_rig.session.replay_check import compared, recorded_windows
-
-from .processes import parameters
-from .statuses import health_of
+from tests.graph.processes import parameters
+from tests.graph.statuses import health_of, status_of
 
 pytest.importorskip("rclpy")
 
@@ -30,7 +29,7 @@ def live(compiled, processes, observer, config_file, tmp_path_factory):
     simulator = processes.node("simulator", *files, *parameters(autostart="false", preload=300.0))
     health = observer.follow("/diagnostics")
     assert observer.transition("configure")
-    for topic in _SAMPLES:
+    for topic in ("daq/samples", "truth/samples"):
         observer.wait_for_listeners(topic, 2)
     assert observer.transition("activate")
     assert observer.trigger("impact")[0]
@@ -39,11 +38,25 @@ def live(compiled, processes, observer, config_file, tmp_path_factory):
         state = health_of(health, "friction_estimator")
         return state and int(state[2]["windows"]) >= 10
 
-    observer.wait_for(enough, "ten windows", 30.0)
+    observer.wait_for(enough, "ten windows")
+    assert observer.pause(True)[0]
+    _drained(observer, health)
     for node in (simulator, estimator, recorder):
         code, _ = node.end()
         assert code == 0, node.errors
     return bag
+
+
+def _drained(observer, health):
+    """Wait until the recorder has taken what was sent: in a second it gets little more than the health of the nodes."""
+    health.clear()
+
+    def drained():
+        states = [status_of(message, "recorder") for message in health]
+        counts = [int(state[2]["messages"]) for state in states if state]
+        return len(counts) > 1 and counts[-1] - counts[-2] < 50
+
+    observer.wait_for(drained, "a recorder that has taken all")
 
 
 @pytest.fixture(scope="module")
@@ -53,14 +66,18 @@ def replayed(live, processes, observer, config_file, tmp_path_factory):
     files = ["--params-file", str(config_file)]
     estimator = processes.node("friction_estimator", *files)
     recorder = processes.node("recorder", *files, *parameters(directory=bag))
-    # The recorder subscribes as topics appear: these do so before the player, which then finds all its listeners.
-    silent = [observer.publisher(topic) for topic in REPLAYED]
-    for topic in REPLAYED:
-        observer.wait_for_listeners(topic, 2)
-    player = processes.node("player", *files, *parameters(bag=live, rate=1.0, wait_for_subscribers=10.0))
-    assert observer.wait_for_end(player, 40.0) == 0
-    for publisher in silent:
-        observer.node.destroy_publisher(publisher)
+    health = observer.follow("/diagnostics")
+    player = processes.node("player", *files, *parameters(bag=live, rate=1.0, start_paused=True))
+    # Its publishers stand: the recorder finds them, and the player counts both.
+    observer.wait_for(lambda: health_of(health, "player"), "the player")
+
+    def heard():
+        return int(health_of(health, "player")[2]["fewest listeners"]) >= 2
+
+    observer.wait_for(heard, "estimator and recorder listening to every topic")
+    assert observer.trigger("resume", "player")[0]
+    assert observer.wait_for_end(player) == 0
+    _drained(observer, health)
     for node in (estimator, recorder):
         code, _ = node.end()
         assert code == 0, node.errors

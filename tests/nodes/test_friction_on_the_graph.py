@@ -5,8 +5,7 @@ import pytest
 
 from squeal_rig.model import stability_band
 from squeal_rig.model.core.law import friction_coefficient
-
-from .processes import parameters
+from tests.graph.processes import parameters
 
 pytest.importorskip("rclpy")
 

@@ -5,22 +5,19 @@ import pytest
 
 from squeal_rig.instruments.channels import FORCE_CHANNELS
 from squeal_rig.model import equilibrium
-
-from .processes import parameters
+from tests.graph.processes import parameters
+from tests.graph.statuses import health_of
 
 pytest.importorskip("rclpy")
 
 _NOT_ACTIVE = "the rig is not active: activate it first"
 
 
-def _blocks_after(bench, seq, count):
-    """The next `count` blocks of truth that begin after a sample number."""
-
-    def found():
-        blocks = [block for block in bench.truth if block.samples["seq"][0] > seq]
-        return blocks[:count] if len(blocks) >= count else None
-
-    return bench.observer.wait_for(found, "the next blocks")
+def _last_made(blocks, health, rig, state):
+    """The last block that a rig made before it stopped, once that has come and the rig has told its state."""
+    found = health_of(health, rig)
+    stopped = found and found[1] == state and int(found[2]["samples"]) == blocks[-1].samples["seq"][-1] + 1
+    return blocks[-1] if stopped else None
 
 
 def _newest(bench):
@@ -34,8 +31,12 @@ def test_an_impact_changes_the_momentum_by_its_impulse_at_a_block_boundary(bench
     answer = bench.observer.trigger("impact")
     assert answer == (True, f"impact of ({size * np.cos(angle):.4g}, {size * np.sin(angle):.4g}) N s")
     mass = bench.observer.description().parameters.mass
-    moving = [b.samples for b in _blocks_after(bench, before, 20) if np.max(np.abs(b.samples["vx"])) > 1e-9]
-    first = moving[0][0]
+
+    def moving():
+        blocks = [block.samples for block in bench.truth if block.samples["seq"][0] > before]
+        return [block for block in blocks if np.max(np.abs(block["vx"])) > 1e-9]
+
+    first = bench.observer.wait_for(moving, "a moving pad")[0][0]
     # The first sample lies one sampling interval after the impact; at rest before, so the whole momentum is its.
     # By then arms and belt have changed it by the order of omega^2 / rate^2 / 2, 1 % at 7000 rad/s.
     momentum = mass * np.array([first["vx"], first["vy"]])
@@ -44,14 +45,14 @@ def test_an_impact_changes_the_momentum_by_its_impulse_at_a_block_boundary(bench
 
 
 def test_reset_brings_the_pad_to_rest_at_the_equilibrium_of_what_is_in_force(bench):
-    assert bench.observer.set({"preload": 80.0}) == [(True, "")]
-    bench.observer.wait_for(lambda: bench.in_force()[0] == 80.0, "80 N in force")
+    # At 30 N sliding is stable: where it is not, rounding grows to a motion within some blocks.
+    assert bench.observer.set({"preload": 30.0}) == [(True, "")]
+    bench.observer.wait_for(lambda: bench.in_force()[0] == 30.0, "30 N in force")
     assert bench.observer.trigger("impact")[0]
     bench.observer.wait_for(lambda: np.ptp(bench.truth[-1].samples["x"]) > 1e-6, "a moving pad")
-    before = _newest(bench)
     assert bench.observer.trigger("reset")[0]
     rest = equilibrium(bench.observer.description().parameters)
-    resting = _blocks_after(bench, before + 2 * 512, 1)[0].samples
+    resting = bench.next_block(bench.truth).samples
     # Newton's iteration ends at rounding of the forces, some 1e-16 m here; the motion was 1e-6 m and more.
     np.testing.assert_allclose(resting["x"], rest[0], atol=1e-12)
     np.testing.assert_allclose(resting["y"], rest[1], atol=1e-12)
@@ -60,9 +61,8 @@ def test_reset_brings_the_pad_to_rest_at_the_equilibrium_of_what_is_in_force(ben
 def test_while_paused_no_block_comes_and_then_seq_goes_on_with_a_new_t0(bench):
     assert bench.observer.pause(True) == (True, "paused")
     assert bench.observer.pause(True) == (True, "paused already")
-    # What was under way arrives; after that a second without a block, in which a hundred would have come.
-    bench.observer.spin(0.2)
-    last = bench.daq[-1]
+    # What was under way arrives; after that half a second without a block, in which fifty would have come.
+    last = bench.observer.wait_for(lambda: _last_made(bench.daq, bench.health, "rig", "paused"), "the last block")
     bench.observer.spin(0.5)
     assert bench.daq[-1] is last
     # Changes and impacts are taken while paused, and in force afterwards.
@@ -118,6 +118,7 @@ def test_the_lifecycle_decides_what_may_be_set_and_called(compiled, processes, o
     assert observer.trigger("impact", rig) == (False, _NOT_ACTIVE)
     assert not blocks
 
+    observer.wait_for_listeners("daq/samples", 1, rig)
     assert observer.transition("activate", rig)
     observer.wait_for(lambda: len(blocks) >= 3, "blocks of the active rig")
     assert observer.state(rig) == "active"
@@ -139,9 +140,10 @@ def test_the_lifecycle_decides_what_may_be_set_and_called(compiled, processes, o
     assert first == pytest.approx(0.01 / 20.0, rel=0.03)
 
     assert observer.transition("deactivate", rig)
-    observer.wait_for(lambda: observer.state(rig) == "inactive", "the inactive state")
-    observer.spin(0.1)
-    last = blocks[-1].samples["seq"][-1]
+    assert observer.state(rig) == "inactive"
+    health = observer.follow("/diagnostics")
+    last = observer.wait_for(lambda: _last_made(blocks, health, "lab/rig", "inactive"), "the last block")
+    last = last.samples["seq"][-1]
     assert observer.set({"mass": 7.0}, rig) == [(True, "")]
     # Sample numbers count over the whole run, also through a clean-up.
     assert observer.transition("cleanup", rig)

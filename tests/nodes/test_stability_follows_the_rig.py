@@ -1,20 +1,13 @@
 """The stability node follows the rig's parameters, and what is in force follows the set points with slew."""
 
-import time
-
 import numpy as np
 import pytest
 
 from squeal_rig.model import eigenvalues, stability_band
 from squeal_rig.model.core.law import friction_coefficient
-
-from .statuses import status_of
+from tests.graph.statuses import status_of
 
 pytest.importorskip("rclpy")
-
-_LATENCY_BOUND = 0.2  # of the median over five changes
-# A single change may meet a machine that is busy with other things.
-_WORST_LATENCY = 2.0
 
 
 def _set_point(bench):
@@ -27,23 +20,14 @@ def _published_eigenvalues(message):
     return np.sort_complex(table[:, 0] + 1j * table[:, 1])
 
 
-def test_a_new_preload_changes_the_stability_summary_within_200_ms_in_the_median(bench, measured):
-    latencies = []
-    for preload in (300.0, 60.0, 310.0, 70.0, 320.0):
-        bench.rest(preload=50.0)
-        begin = time.monotonic()
+def test_a_new_preload_changes_the_stability_summary(bench):
+    # How fast is measured by `make bench ARGS=nodes`.
+    for preload, state in ((300.0, "unstable"), (60.0, "stable")):
         assert bench.observer.set({"preload": preload}) == [(True, "")]
         bench.observer.wait_for(
             lambda preload=preload: float(_set_point(bench)[2]["preload [N]"]) == preload, "the new summary"
         )
-        latencies.append(time.monotonic() - begin)
-        assert _set_point(bench)[1] == ("unstable" if preload > 200.0 else "stable")
-    measured(
-        "preload set through the parameter service to stability/summary:"
-        f" median {np.median(latencies) * 1e3:.0f} ms, longest {max(latencies) * 1e3:.0f} ms (asked for: 200 ms)"
-    )
-    assert np.median(latencies) < _LATENCY_BOUND
-    assert max(latencies) < _WORST_LATENCY
+        assert _set_point(bench)[1] == state
 
 
 @pytest.mark.parametrize(

@@ -5,26 +5,16 @@ from collections import namedtuple
 import numpy as np
 from mcap.records import ChunkIndex
 from mcap.stream_reader import StreamReader
-from rosbags.typesys import Stores, get_typestore
 
-from squeal_rig.recording import BagWriter, MessageSchema, QosProfile, cdr_from_samples
+from squeal_rig.recording import BagWriter, QosProfile, cdr_from_samples
+from tests.messages import schema_of, string_cdr
 
-TYPES = get_typestore(Stores.ROS2_JAZZY)
 LATCHED = QosProfile(depth=1, durability="transient_local")
 START = 1_700_000_000_000_000_000
 BLOCK = np.dtype({"names": ["t", "x", "seq"], "formats": ["<f8", "<f8", "<u4"], "offsets": [0, 8, 16], "itemsize": 24})
 ROWS = 64
 
 Sent = namedtuple("Sent", "topic data log_time publish_time")
-
-
-def schema_of(type_name):
-    text, _ = TYPES.generate_msgdef(type_name, ros_version=2)
-    return MessageSchema(type_name, text, TYPES.hash_rihs01(type_name))
-
-
-def string_cdr(text):
-    return bytes(TYPES.serialize_cdr(TYPES.types["std_msgs/msg/String"](text), "std_msgs/msg/String"))
 
 
 def block_cdr(number, stamp, seed=7):

@@ -1,19 +1,12 @@
-"""Definitions and messages for the tests of bags, made by `rosbags`, so that no ROS needs to be installed."""
+"""Definitions and messages for the tests of bags."""
 
 import numpy as np
 import pytest
-from rosbags.typesys import Stores, get_typestore
 
-from squeal_rig.recording import MessageSchema
+from tests.messages import TYPES, schema_of
 
-TYPES = get_typestore(Stores.ROS2_JAZZY)
 CLOUD = "sensor_msgs/msg/PointCloud2"
 STRING = "std_msgs/msg/String"
-
-
-def schema_of(type_name):
-    text, _ = TYPES.generate_msgdef(type_name, ros_version=2)
-    return MessageSchema(type_name, text, TYPES.hash_rihs01(type_name))
 
 
 @pytest.fixture(scope="session")

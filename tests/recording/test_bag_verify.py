@@ -4,7 +4,7 @@ import shutil
 import zlib
 
 import pytest
-from bag_making import START, block_cdr, schema_of, string_cdr, write_bag
+from bag_making import START, block_cdr, write_bag
 from mcap.records import ChunkIndex
 from mcap.stream_reader import StreamReader
 
@@ -12,6 +12,7 @@ from squeal_rig.errors import RecordingError
 from squeal_rig.recording import Bag, BagWriter
 from squeal_rig.recording.records import record_bytes
 from squeal_rig.recording.verify import verify
+from tests.messages import schema_of, string_cdr
 
 
 def errors(directory):

@@ -1,12 +1,13 @@
 """Damaged bags of other writers: definitions in the first chunk only, checksums or none."""
 
 import pytest
-from bag_making import START, chunk_places, schema_of, string_cdr
+from bag_making import START, chunk_places
 from mcap.writer import CompressionType, Writer
 
 from squeal_rig.errors import RecordingError
 from squeal_rig.recording import Bag
 from squeal_rig.recording.recover import recover
+from tests.messages import schema_of, string_cdr
 
 COUNT = 200
 

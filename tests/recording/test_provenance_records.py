@@ -1,11 +1,12 @@
 """What a bag tells about its run: facts that come late, parameters and their changes, in every file."""
 
 import pytest
-from bag_making import START, block_cdr, schema_of
+from bag_making import START, block_cdr
 
 from squeal_rig.recording import Bag, BagWriter
 from squeal_rig.recording.parameter_log import ParameterLog, parameters_of
 from squeal_rig.recording.recover import recover
+from tests.messages import schema_of
 
 
 def test_parameters_at_start_and_changes_read_back_as_they_were():

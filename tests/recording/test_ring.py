@@ -2,12 +2,13 @@
 
 import tracemalloc
 
-from bag_making import LATCHED, schema_of
+from bag_making import LATCHED
 from hypothesis import given
 from hypothesis import strategies as st
 
 from squeal_rig.recording import BagWriter
 from squeal_rig.recording.ring import KeptMessage, MessageRing
+from tests.messages import schema_of
 
 _S = 10**9
 

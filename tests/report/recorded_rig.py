@@ -1,7 +1,6 @@
 """A recording as the live nodes leave it, made from the virtual rig without ROS: samples, friction, stability."""
 
 import numpy as np
-from rosbags.typesys import Stores, get_typestore
 
 from squeal_rig.estimation.friction_follower import FrictionFollower
 from squeal_rig.estimation.settings import FrictionSettings
@@ -11,9 +10,9 @@ from squeal_rig.instruments.description import RigDescription
 from squeal_rig.instruments.settings import RigSettings
 from squeal_rig.instruments.virtual import VirtualRig
 from squeal_rig.model import RigParameters
-from squeal_rig.recording import BagWriter, MessageSchema, QosProfile, cdr_from_samples, samples_from_cdr
+from squeal_rig.recording import BagWriter, QosProfile, cdr_from_samples, samples_from_cdr
+from tests.messages import TYPES, schema_of, string_cdr
 
-TYPES = get_typestore(Stores.ROS2_JAZZY)
 LATCHED = QosProfile(depth=1, durability="transient_local")
 PARAMETERS = RigParameters().replace(damping_x=20.0, damping_y=20.0)
 START = 10**18
@@ -29,15 +28,6 @@ TOPICS = {
     "stability/summary": "diagnostic_msgs/msg/DiagnosticArray",
     "stability/eigenvalues": "std_msgs/msg/Float64MultiArray",
 }
-
-
-def schema_of(type_name):
-    text, _ = TYPES.generate_msgdef(type_name, ros_version=2)
-    return MessageSchema(type_name, text, TYPES.hash_rihs01(type_name))
-
-
-def serialised(type_name, *fields):
-    return bytes(TYPES.serialize_cdr(TYPES.types[type_name](*fields), type_name))
 
 
 class Recording:
@@ -64,7 +54,7 @@ class Recording:
 
     def describe(self, parameters):
         rig = RigDescription(parameters)
-        self.put("rig/description", serialised("std_msgs/msg/String", rig.to_yaml()))
+        self.put("rig/description", string_cdr(rig.to_yaml()))
         self.stability.take_rig(rig)
         self.summarise()
 

@@ -15,15 +15,11 @@ from squeal_rig.model import RigParameters
 from squeal_rig.recording import BagWriter, MessageSchema, cdr_from_samples
 from squeal_rig.report.run_figure import draw_run
 from squeal_rig.samples.blocks import recorded_blocks
+from tests.messages import string_cdr
 
 PARAMETERS = RigParameters().replace(damping_x=20.0, damping_y=20.0)
 CLOUD = MessageSchema("sensor_msgs/msg/PointCloud2")
 STRING = MessageSchema("std_msgs/msg/String", text="string data")
-
-
-def cdr_string(text: str) -> bytes:
-    raw = text.encode() + b"\0"
-    return b"\0\1\0\0" + len(raw).to_bytes(4, "little") + raw
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +32,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
         description = writer.add_topic("/rig/description", STRING.type_name, schema=STRING)
         daq = writer.add_topic("/daq/samples", CLOUD.type_name, schema=CLOUD)
         truth = writer.add_topic("/truth/samples", CLOUD.type_name, schema=CLOUD)
-        writer.write(description, cdr_string(RigDescription(PARAMETERS).to_yaml()), 10**18, 10**18)
+        writer.write(description, string_cdr(RigDescription(PARAMETERS).to_yaml()), 10**18, 10**18)
         for number in range(260):
             if number == 60:
                 rig.set_point = PARAMETERS.replace(preload=300.0)
@@ -80,7 +76,7 @@ def test_the_picture_is_a_png_of_some_substance(bag: Path, tmp_path: Path):
 
 def test_a_bag_without_samples_is_refused(tmp_path: Path):
     with BagWriter(tmp_path / "empty") as writer:
-        writer.write(writer.add_topic("/talk", STRING.type_name, schema=STRING), cdr_string("hello"), 1, 1)
+        writer.write(writer.add_topic("/talk", STRING.type_name, schema=STRING), string_cdr("hello"), 1, 1)
     with pytest.raises(RecordingError, match="not a recording of the rig"):
         analyse_bag(tmp_path / "empty")
 

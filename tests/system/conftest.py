@@ -1,21 +1,10 @@
-"""Commands on a private ROS domain, and one bag to look at."""
+"""The command line, as a process on a private ROS domain or in this one."""
 
 import sys
 
 import pytest
-from nodes.domains import private_domain
-from nodes.processes import Processes
 
 from squeal_rig.cli import main
-
-
-@pytest.fixture(scope="module")
-def processes(tmp_path_factory):
-    """Starts commands and nodes on a domain of the module's own; all are gone at its end."""
-    with private_domain() as domain:
-        started = Processes(domain, tmp_path_factory.mktemp("logs"))
-        yield started
-        started.end_all()
 
 
 @pytest.fixture(scope="module")

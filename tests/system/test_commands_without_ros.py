@@ -5,11 +5,12 @@ import sys
 from pathlib import Path
 
 import pytest
-from nodes.made_bag import schema, string_cdr, write_squeal
 
 import squeal_rig
 from squeal_rig.configuration.files import config_directory
 from squeal_rig.recording import BagWriter
+from tests.made_bag import write_squeal
+from tests.messages import schema_of, string_cdr
 
 _COMMANDS = ("run", "demo", "analyse", "check", "info")
 
@@ -94,7 +95,7 @@ def test_nonsense_instead_of_a_bag_is_refused_with_one_sentence(in_process, tmp_
 
 
 def test_analyse_of_a_bag_of_something_else_says_what_is_missing(in_process, tmp_path):
-    string = schema("std_msgs/msg/String")
+    string = schema_of("std_msgs/msg/String")
     with BagWriter(tmp_path / "other") as writer:
         topic = writer.add_topic("/chatter", string.type_name, [], string)
         writer.write(topic, string_cdr("hello"), 1, 1)

@@ -1,6 +1,7 @@
 """Nodes as child processes: what `ros2 run` would start, with what they print kept in a file."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -9,8 +10,11 @@ from pathlib import Path
 
 import squeal_rig
 
+from . import PATIENCE
+
 # The children run the very package the tests run, from whatever folder they are started in.
 _PACKAGE_PARENT = str(Path(squeal_rig.__file__).parents[1])
+_TICK = os.sysconf("SC_CLK_TCK")
 
 
 class Child:
@@ -26,6 +30,7 @@ class Child:
             "PYTHONUNBUFFERED": "1",
             "COLUMNS": "160",
         }
+        self.started = time.time_ns()
         with self._logs[0].open("wb") as output, self._logs[1].open("wb") as errors:
             self.process = subprocess.Popen(
                 command,
@@ -51,10 +56,20 @@ class Child:
         """What it printed to stderr: refusals, and the log of ROS."""
         return self._logs[1].read_text(encoding="utf-8", errors="replace")
 
+    def cpu_seconds(self):
+        """Processor time of all of its threads so far, user and system [s]."""
+        fields = Path(f"/proc/{self.process.pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / _TICK
+
+    def memory(self):
+        """Resident memory now [MB]."""
+        status = Path(f"/proc/{self.process.pid}/status").read_text(encoding="utf-8")
+        return int(re.search(r"VmRSS:\s+(\d+) kB", status)[1]) / 1024.0
+
     def send(self, number):
         os.kill(self.process.pid, number)
 
-    def wait(self, timeout=20.0):
+    def wait(self, timeout=PATIENCE):
         """Exit code; `TimeoutExpired` after that many seconds."""
         return self.process.wait(timeout)
 
@@ -80,7 +95,7 @@ class Processes:
         self._children = []
 
     def start(self, command, cwd=None):
-        child = Child(command, self.folder / str(len(self._children)), self.domain, cwd)
+        child = Child(list(map(str, command)), self.folder / str(len(self._children)), self.domain, cwd)
         self._children.append(child)
         return child
 
@@ -90,7 +105,7 @@ class Processes:
 
     def command(self, *arguments, cwd=None):
         """Start the command `squeal-rig`."""
-        return self.start([sys.executable, "-m", "squeal_rig.cli", *map(str, arguments)], cwd)
+        return self.start([sys.executable, "-m", "squeal_rig.cli", *arguments], cwd)
 
     def end_all(self):
         """Ask every child to end, then see to it."""
@@ -105,5 +120,11 @@ class Processes:
 
 
 def parameters(**values):
-    """`-p name:=value` for every value, as text."""
-    return [word for name, value in values.items() for word in ("-p", f"{name}:={value}")]
+    """`-p name:=value` for every value, as text; a list as one of texts."""
+    return [word for name, value in values.items() for word in ("-p", f"{name}:={_text(value)}")]
+
+
+def _text(value):
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(f"'{item}'" for item in value) + "]"
+    return str(value).lower() if isinstance(value, bool) else str(value)

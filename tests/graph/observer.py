@@ -14,31 +14,32 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import Float64MultiArray, String
+from std_msgs.msg import Float64, Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
 from squeal_rig.graph import qos
 from squeal_rig.instruments.description import RigDescription
 from squeal_rig.recording import samples_from_cdr
 
-#: Discovery of a service usually takes 0.25 s, and now and then over 2 s; a loaded machine is slower.
-PATIENCE = 15.0
-# A subscriber seen in the graph is matched with its publishers this much later at the latest, as far as was seen.
-_MATCHING = 1.0
+from . import PATIENCE
+from .statuses import health_of
+
 _TRANSITIONS = {
-    "configure": (Transition.TRANSITION_CONFIGURE, "inactive"),
-    "activate": (Transition.TRANSITION_ACTIVATE, "active"),
-    "deactivate": (Transition.TRANSITION_DEACTIVATE, "inactive"),
-    "cleanup": (Transition.TRANSITION_CLEANUP, "unconfigured"),
+    "configure": Transition.TRANSITION_CONFIGURE,
+    "activate": Transition.TRANSITION_ACTIVATE,
+    "deactivate": Transition.TRANSITION_DEACTIVATE,
+    "cleanup": Transition.TRANSITION_CLEANUP,
 }
 _REPEAT = 2.0
-# A transition that opens the model compiles it where its sources have changed.
-_COMPILING = 60.0
+_UNHEARD = 5.0
+# A transition that opens the model compiles it where its sources have changed; that takes tens of seconds.
+_COMPILING = 600.0
 _TOPICS = {
     "rig/description": (String, qos.LATCHED),
     "daq/samples": (PointCloud2, qos.BLOCKS),
     "truth/samples": (PointCloud2, qos.BLOCKS),
     "friction/windows": (PointCloud2, qos.EVENTS),
+    "friction/mu": (Float64, qos.EVENTS),
     "friction/model": (Float64MultiArray, qos.LATCHED),
     "friction/samples": (PointCloud2, qos.BLOCKS),
     "stability/summary": (DiagnosticArray, qos.LATCHED),
@@ -84,25 +85,34 @@ class Observer:
         while (left := deadline - time.monotonic()) > 0.0:
             self._executor.spin_once(timeout_sec=left)
 
-    def wait_for_listeners(self, topic, count):
-        """Wait until that many subscribe to a topic, and publishers can be taken to know it."""
-        self.wait_for(lambda: self.node.count_subscribers(topic) >= count, f"{count} listeners to {topic}")
-        self.spin(_MATCHING)
+    def wait_for_listeners(self, topic, count, rig="rig"):
+        """Wait until the rig itself counts that many listeners to a topic of samples: it loses no block for them."""
+        health = self.follow("/diagnostics")
+
+        def listeners():
+            found = health_of(health, rig.lstrip("/"))
+            return found and int(found[2][f"listeners to {topic}"]) >= count
+
+        self.wait_for(listeners, f"{count} listeners to {topic}")
 
     # --- topics
 
     def follow(self, topic, depth=1000, raw=False):
         """Everything that comes on a topic from now on: a deque of messages, of bytes where `raw`."""
-        kind, profile = _kind_and_profile(topic)
         messages = deque(maxlen=depth)
-        self.node.create_subscription(kind, topic, _taken_by(messages), profile, raw=raw)
+        self.listen(topic, _taken_by(messages), raw)
         return messages
+
+    def listen(self, topic, take, raw=False):
+        """Call `take` with everything that comes on a topic from now on; returns the subscription."""
+        kind, profile = _kind_and_profile(topic)
+        return self.node.create_subscription(kind, topic, take, profile, raw=raw)
 
     def follow_samples(self, topic, depth=1000):
         """Blocks of samples from now on: a deque of (stamp [ns], frame, structured array)."""
         blocks = deque(maxlen=depth)
         self.node.create_subscription(
-            PointCloud2, topic, lambda data: blocks.append(samples_from_cdr(data)), qos.BLOCKS, raw=True
+            PointCloud2, topic, lambda data: blocks.append(samples_from_cdr(data)), qos.BLOCKS_IN, raw=True
         )
         return blocks
 
@@ -113,9 +123,8 @@ class Observer:
 
     def first(self, topic, timeout=PATIENCE):
         """The next message of a topic, or the latched one."""
-        kind, profile = _kind_and_profile(topic)
         messages = []
-        subscription = self.node.create_subscription(kind, topic, _taken_by(messages), profile)
+        subscription = self.listen(topic, _taken_by(messages))
         try:
             return self.wait_for(lambda: messages and messages[-1], f"a message on {topic}", timeout)
         finally:
@@ -131,12 +140,26 @@ class Observer:
     def call(self, kind, name, request, timeout=PATIENCE, repeat=None):
         """Answer of a service; asked again every `repeat` seconds, where asking twice does no harm.
 
-        DDS loses an answer now and then while server and client are still getting to know each other, and a server
-        that was killed counts as ready for some seconds.
+        A server that was killed counts as ready for some seconds.
         """
         client = self._clients.get(name)
         if client is None:
             client = self._clients[name] = self.node.create_client(kind, name)
+            self._introduce(name.rpartition("/")[0], timeout)
+        return self._answer(client, request, timeout, repeat)
+
+    def _introduce(self, node, timeout):
+        """Wait until a node knows every client that we have made so far.
+
+        A server drops its answer where it has not yet found the client's ear for it. We are found in the order in
+        which we make things, so a client made after all others that gets an answer vouches for them.
+        """
+        last = self.node.create_client(GetParameters, f"{node}/get_parameters")
+        self._answer(last, GetParameters.Request(), timeout, _REPEAT)
+        self.node.destroy_client(last)
+
+    def _answer(self, client, request, timeout, repeat):
+        name = client.srv_name
         self.wait_for(client.service_is_ready, f"service {name}", timeout)
         asked, futures = -math.inf, []
 
@@ -160,16 +183,19 @@ class Observer:
         return answer.success, answer.message
 
     def transition(self, name, rig="rig"):
-        """Take the rig through a lifecycle transition; returns whether it went."""
-        number, goal = _TRANSITIONS[name]
+        """Take the rig through a lifecycle transition; returns whether it went.
+
+        Asked again where the state shows that nobody heard it, as after the rig was killed and started anew.
+        """
+        request = ChangeState.Request(transition=Transition(id=_TRANSITIONS[name]))
         begin = self.state(rig)
-        request = ChangeState.Request(transition=Transition(id=number))
-        try:
-            return self.call(ChangeState, f"{rig}/change_state", request, _COMPILING).success
-        except AssertionError:
-            if self.state(rig) == begin != goal:
-                raise
-            return True  # it went, and only its answer was lost
+        while True:
+            try:
+                return self.call(ChangeState, f"{rig}/change_state", request, _UNHEARD).success
+            except AssertionError:
+                # Answered after a transition that is under way.
+                if self.state(rig) != begin:
+                    return True
 
     def state(self, rig="rig"):
         """Name of the rig's lifecycle state."""

@@ -1,0 +1,1 @@
+"""Tests, in the folders of the package; what several folders share lies here."""

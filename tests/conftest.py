@@ -1,0 +1,46 @@
+"""Domains, processes and an observer, for every test that starts something."""
+
+import pytest
+
+from .graph.domains import private_domain
+from .graph.processes import Processes
+
+_MEASURED = pytest.StashKey[list]()
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    """Show what was measured: the tests assert far wider bounds, since machines are noisy."""
+    for line in config.stash.get(_MEASURED, []):
+        terminalreporter.write_line(f"measured: {line}")
+
+
+@pytest.fixture
+def measured(request):
+    """Keeps a sentence with a measured number for the end of the test's output."""
+    return request.config.stash.setdefault(_MEASURED, []).append
+
+
+@pytest.fixture(scope="module")
+def domain():
+    """A ROS domain of this module alone."""
+    with private_domain() as number:
+        yield number
+
+
+@pytest.fixture(scope="module")
+def processes(domain, tmp_path_factory):
+    """Starts children on the module's domain; all are gone at its end."""
+    started = Processes(domain, tmp_path_factory.mktemp("logs"))
+    yield started
+    started.end_all()
+
+
+@pytest.fixture(scope="module")
+def observer(domain):
+    """The test's own node on the module's domain."""
+    # Imported here, so that collecting needs no ROS.
+    from .graph.observer import Observer
+
+    node = Observer(domain)
+    yield node
+    node.close()
