@@ -14,6 +14,7 @@ from squeal_rig.errors import DriverError, ParameterError, SquealRigError
 from squeal_rig.graph.conversions import ERROR, OK, WARN
 from squeal_rig.graph.health import Health, HealthPublisher
 from squeal_rig.graph.lifetime import STEADY, Lifetime, run_node
+from squeal_rig.graph.names import Claim, is_running
 from squeal_rig.graph.parameters import NODE_OPTIONS, DeclaredParameters, overrides
 from squeal_rig.graph.rig_interface import RigOutputs, offer_services
 from squeal_rig.instruments.acquisition import Acquisition, change_refusal
@@ -48,6 +49,10 @@ class RigNode(LifecycleNode):
         self._fault = ""
         self._told_overruns = 0
         self._warnings: tuple[str, ...] = ()
+        domain, full_name = self.context.get_domain_id(), self.get_fully_qualified_name()
+        self._claim = Claim(domain, full_name)
+        if not self._claim.granted or is_running(full_name, own=self):
+            raise DriverError(f"rig: {full_name} runs on ROS domain {domain} already: give this one a namespace")
         self._outputs = RigOutputs(self, self._driver.publishes_truth, self._settings.real_time_factor != 1.0)
         offer_services(self, {"reset": self.reset, "impact": self.impact, "zero": self.zero}, self.pause)
         HealthPublisher(self, self._health)
