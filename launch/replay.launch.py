@@ -1,9 +1,9 @@
 """A bag through a fresh set of estimators: `ros2 launch squeal_rig replay.launch.py bag:=FOLDER`."""
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
+from launch.actions import DeclareLaunchArgument, LogInfo, SetEnvironmentVariable
 from launch.conditions import IfCondition
-from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch.substitutions import EnvironmentVariable, LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
@@ -27,8 +27,13 @@ def generate_launch_description() -> LaunchDescription:
         "clock": ParameterValue(LaunchConfiguration("clock"), value_type=bool),
     }
     clock = {"use_sim_time": ParameterValue(LaunchConfiguration("clock"), value_type=bool)}
+    # Keep to this machine, unless the user has said how far the graph reaches.
+    reach = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+    domain = EnvironmentVariable("ROS_DOMAIN_ID", default_value="0")
     return LaunchDescription(
         [
+            SetEnvironmentVariable(reach, EnvironmentVariable(reach, default_value="LOCALHOST")),
+            LogInfo(msg=["ROS_DOMAIN_ID ", domain, ", ", reach, " ", EnvironmentVariable(reach)]),
             DeclareLaunchArgument("bag", description="folder or file to replay"),
             DeclareLaunchArgument("params_file", default_value=config, description="parameters of all nodes"),
             DeclareLaunchArgument("namespace", default_value="", description="the namespace of the recorded rig"),

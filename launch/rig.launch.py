@@ -1,9 +1,9 @@
 """The virtual or real rig with its estimators: `ros2 launch squeal_rig rig.launch.py [record:=true]`."""
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
+from launch.actions import DeclareLaunchArgument, LogInfo, SetEnvironmentVariable
 from launch.conditions import IfCondition
-from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch.substitutions import EnvironmentVariable, LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
@@ -22,8 +22,13 @@ def generate_launch_description() -> LaunchDescription:
     parameters = LaunchConfiguration("params_file")
     # Where real_time_factor is not 1 the rig makes the clock and all others follow it.
     clock = {"use_sim_time": ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool)}
+    # Keep to this machine, unless the user has said how far the graph reaches.
+    reach = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+    domain = EnvironmentVariable("ROS_DOMAIN_ID", default_value="0")
     return LaunchDescription(
         [
+            SetEnvironmentVariable(reach, EnvironmentVariable(reach, default_value="LOCALHOST")),
+            LogInfo(msg=["ROS_DOMAIN_ID ", domain, ", ", reach, " ", EnvironmentVariable(reach)]),
             DeclareLaunchArgument("params_file", default_value=config, description="parameters of all nodes"),
             DeclareLaunchArgument("namespace", default_value="", description="moves the whole rig"),
             DeclareLaunchArgument("record", default_value="false", description="write a bag"),

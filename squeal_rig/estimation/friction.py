@@ -16,9 +16,9 @@ from squeal_rig.instruments.channels import FRICTION_WINDOW_RECORD
 from squeal_rig.instruments.description import RigDescription
 from squeal_rig.instruments.driver import Samples
 from squeal_rig.instruments.means import contact_forces
+from squeal_rig.instruments.numbering import SEQ_MODULUS, Numbering
 
 Values = NDArray[np.float64]
-_SEQ_MODULUS = 2**32
 
 
 def sample_friction(tangential: Values, normal: Values, minimum_normal_load: float) -> tuple[Values, NDArray[np.bool_]]:
@@ -71,23 +71,26 @@ class FrictionEstimator:
         self._settings = settings
         self._length = max(1, round(settings.window * rig.sample_rate))
         self._open: dict[int, _Sums] = {}
-        self._first: int | None = None
+        self._numbering = Numbering()
+        self._begun = False
         self._next = 0
         self._daq_end = self._truth_end = 0
-        self.lost_samples = 0
+
+    @property
+    def lost_samples(self) -> int:
+        """Samples missing between blocks so far."""
+        return self._numbering.lost_samples
 
     def add_samples(self, stamp: int, daq: Samples) -> tuple[Values, NDArray[np.bool_], list[FrictionWindow]]:
         """Take a block of DAQ samples; returns mu (n,) and valid (n,) of Eq. (2.1), and the windows now complete."""
         tangential, normal = contact_forces(daq, self.rig.parameters, self.rig.drum_radius)
         mu, valid = sample_friction(tangential, normal, self._settings.minimum_normal_load)
-        start = self._unwrapped(int(daq["seq"][0]), self._daq_end)
-        if self._first is not None and start < self._daq_end:
-            start = self._begin_anew(int(daq["seq"][0]))
-        if self._first is None:
-            self._first = self._next = -(-start // self._length)
-            self._truth_end = start
-        elif start > self._daq_end:
-            self.lost_samples += start - self._daq_end
+        start, restarted = self._numbering.take(stamp, daq, self.rig.sample_rate)
+        if restarted:
+            self._open.clear()
+        if restarted or not self._begun:
+            self._next = -(-start // self._length)
+            self._begun, self._truth_end = True, start
         for index, piece in self._pieces(start, len(daq)):
             sums = self._open.setdefault(index, _Sums())
             if sums.stamp is None:
@@ -105,13 +108,15 @@ class FrictionEstimator:
 
     def add_truth(self, truth: Samples) -> list[FrictionWindow]:
         """Take a block of true samples; returns the windows now complete."""
-        start = self._unwrapped(int(truth["seq"][0]), self._truth_end)
+        start, near = int(truth["seq"][0]), self._truth_end
+        if self._begun:
+            start = near + (start - near + SEQ_MODULUS // 2) % SEQ_MODULUS - SEQ_MODULUS // 2
         for index, piece in self._pieces(start, len(truth)):
             sums = self._open.setdefault(index, _Sums())
             sums.true_count += piece.stop - piece.start
             sums.mu_true += float(truth["mu"][piece].sum())
         self._truth_end = start + len(truth)
-        return self._completed() if self._first is not None else []
+        return self._completed() if self._begun else []
 
     def _pieces(self, start: int, count: int) -> list[tuple[int, slice]]:
         """(window, slice of the block) for every window a block touches, but for windows already gone."""
@@ -153,16 +158,3 @@ class FrictionEstimator:
             "mu_true": mu_true,
             "difference": mu - mu_true,
         }
-
-    def _begin_anew(self, seq: int) -> int:
-        """Numbers that run backwards are another run: a rig started again, or a replay."""
-        self._open.clear()
-        self._first = None
-        self._daq_end = 0
-        return seq
-
-    def _unwrapped(self, seq: int, near: int) -> int:
-        """The sample's number over the whole run: `seq` wraps at 2^32."""
-        if self._first is None and near == 0:
-            return seq
-        return near + (seq - near + _SEQ_MODULUS // 2) % _SEQ_MODULUS - _SEQ_MODULUS // 2

@@ -30,11 +30,6 @@ class FrictionFollower:
         self._estimator: FrictionEstimator | None = None
         self._regression = FrictionRegression()
 
-    @property
-    def lost_samples(self) -> int:
-        """Samples missing between blocks so far."""
-        return self._estimator.lost_samples if self._estimator is not None else 0
-
     def take_rig(self, rig: RigDescription) -> None:
         """Take the rig's description; windows go on where the sample rate stays."""
         if self._estimator is None or self._estimator.rig.sample_rate != rig.sample_rate:

@@ -30,7 +30,7 @@ class SquealDetector:
     """Takes blocks of `daq/samples`; gives a state at the end of every window.
 
     Windows follow one another by sample count; a gap in the samples starts a window anew, since a spectrum over a gap
-    would be none of the rig's.
+    would be none of the rig's. A window with a value that is not finite gives no state.
 
     Raises:
         ParameterError: the band reaches above half the sample rate.
@@ -65,7 +65,8 @@ class SquealDetector:
             self._filled += count
             taken += count
             if self._filled == len(self._signal):
-                states.append(self._judge())
+                if np.isfinite(self._signal).all():
+                    states.append(self._judge())
                 self._filled = 0
         return states
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import signal
 import sys
+import time
 import traceback
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -78,6 +79,12 @@ class GuardedExecutor(SingleThreadedExecutor):
             pass
         except Exception as error:
             self._note(error)
+
+    def spin_for(self, seconds: float) -> None:
+        """Take what comes for that long [s]."""
+        deadline = time.monotonic() + seconds
+        while (left := deadline - time.monotonic()) > 0.0:
+            self.spin_once(left)
 
     def untold(self) -> tuple[str, str]:
         """Sentences on the last error and the last refused request since this was last asked; empty where none."""

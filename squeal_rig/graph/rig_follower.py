@@ -1,66 +1,161 @@
-"""Following the rig: its description, and its parameters as they change. No second copy to keep equal by hand."""
+"""Following the rig: its description, its parameters as they change, its samples; and whether all of them are well."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
 
+import numpy as np
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
-from rclpy.qos import qos_profile_parameter_events
+from rclpy.qos import QoSProfile, qos_profile_parameter_events
+from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 
 from squeal_rig.configuration.declared import declarations
 from squeal_rig.errors import SquealRigError
 from squeal_rig.graph import qos
+from squeal_rig.graph.conversions import ERROR, OK, STALE, WARN
+from squeal_rig.graph.health import Health
+from squeal_rig.instruments.channels import DAQ_CHANNELS, block_from_cdr
 from squeal_rig.instruments.description import RigDescription
+from squeal_rig.instruments.driver import Samples
+from squeal_rig.instruments.numbering import Numbering
 from squeal_rig.model.parameters import RigParameters
 
 _RIG_NODE = "rig"
+_DAQ = "daq/samples"
+_NUMBERS = [channel.name for channel in DAQ_CHANNELS if channel.code == "<f8"]
+# Time without samples [s] after which a node that needs them is stale.
+_LIMIT = 1.0
+# A rig is started again now and then; one that is every second is two.
+_MIXED = 2
 
 
 class RigFollower:
-    """Calls back with the rig's description whenever it changes.
+    """Calls back with the rig's description whenever it changes, and with every block of its samples.
 
     Args:
         node: the node that follows; the rig is the node `rig` of its namespace.
-        changed: called with every new description.
+        described: called with every new description.
+        sampled: called with stamp [ns] and samples (n,) of every block of `daq/samples`; may raise a SquealRigError.
+        depth: QoS of the blocks.
         events: follow `/parameter_events` too, which tell a change before the description does.
     """
 
-    def __init__(self, node: Node, changed: Callable[[RigDescription], None], events: bool = False) -> None:
+    def __init__(
+        self,
+        node: Node,
+        described: Callable[[RigDescription], None],
+        sampled: Callable[[int, Samples], None],
+        depth: QoSProfile = qos.BLOCKS_IN,
+        events: bool = False,
+    ) -> None:
         self._node = node
-        self._changed = changed
+        self._described = described
+        self._sampled = sampled
+        self._refusal = self._last_rejection = ""
+        self._last_block: float | None = None
+        self._started = time.monotonic()
+        self._numbering = Numbering()
+        self._blocks = self._rejected = self._refused = self._not_finite = 0
+        self._told: dict[str, int] = {}
         self.description: RigDescription | None = None
         node.create_subscription(String, "rig/description", self._on_description, qos.LATCHED)
+        node.create_subscription(PointCloud2, _DAQ, self._on_block, depth, raw=True)
         if events:
             namespace = node.get_namespace().rstrip("/")
             self._rig = f"{namespace}/{_RIG_NODE}"
             node.create_subscription(ParameterEvent, "/parameter_events", self._on_event, qos_profile_parameter_events)
 
+    def reject(self, error: SquealRigError) -> None:
+        """Count a message that was refused, and say so."""
+        self._rejected += 1
+        self._last_rejection = str(error)
+        self._node.get_logger().warning(f"message refused: {error}", throttle_duration_sec=1.0)
+
+    # --- the description
+
     def _on_description(self, message: String) -> None:
-        try:
-            self._take(RigDescription.from_yaml(message.data))
-        except SquealRigError as error:
-            self._node.get_logger().error(str(error))
+        self._change(lambda: RigDescription.from_yaml(message.data))
 
     def _on_event(self, event: ParameterEvent) -> None:
         if event.node != self._rig or self.description is None:
             return
-        known = declarations(RigParameters)
+        known, before = declarations(RigParameters), self.description
         changes = {
             parameter.name: parameter_value_to_python(parameter.value)
             for parameter in event.changed_parameters
             if parameter.name in known
         }
-        if not changes:
-            return
-        try:
-            self._take(self.description.with_parameters(changes))
-        except SquealRigError as error:
-            self._node.get_logger().error(str(error))
+        if changes:
+            self._change(lambda: before.with_parameters(changes))
 
-    def _take(self, description: RigDescription) -> None:
+    def _change(self, make: Callable[[], RigDescription]) -> None:
+        try:
+            description = make()
+        except SquealRigError as error:
+            self._refused += 1
+            self._refusal = str(error)
+            self._node.get_logger().error(f"the rig's description was refused: {error}", throttle_duration_sec=1.0)
+            return
+        self._refusal = ""
         if description != self.description:
             self.description = description
-            self._changed(description)
+            self._described(description)
+
+    # --- samples
+
+    def _on_block(self, data: bytes) -> None:
+        self._last_block = time.monotonic()
+        try:
+            stamp, _, daq = block_from_cdr(data, DAQ_CHANNELS)
+            if self.description is not None:
+                self._numbering.take(stamp, daq, self.description.sample_rate)
+            finite = np.logical_and.reduce([np.isfinite(daq[name]) for name in _NUMBERS])
+            self._not_finite += len(daq) - int(np.count_nonzero(finite))
+            self._sampled(stamp, daq)
+            self._blocks += 1
+        except SquealRigError as error:
+            self.reject(error)
+
+    # --- health
+
+    def health(self, values: Mapping[str, Any]) -> Health:
+        """Health of a node that needs the rig; counts stay, the sentence is about what is new since the last call."""
+        counts = {
+            "blocks": self._blocks,
+            "lost samples": self._numbering.lost_samples,
+            "restarts": self._numbering.restarts,
+            "samples not finite": self._not_finite,
+            "rejected messages": self._rejected,
+            "refused descriptions": self._refused,
+        }
+        new = {name: count - self._told.get(name, 0) for name, count in counts.items()}
+        self._told = counts
+        level, sentence = self._judged(new)
+        return level, sentence, {**values, **counts}
+
+    def _judged(self, new: Mapping[str, int]) -> tuple[bytes, str]:
+        if self._refusal:
+            kept = "the one before is in use" if self.description is not None else "there is none"
+            return ERROR, f"the rig's description was refused, {kept}: {self._refusal}"
+        since = time.monotonic() - (self._started if self._last_block is None else self._last_block)
+        if self._last_block is None:
+            return WARN if since < _LIMIT else STALE, f"no {_DAQ} yet"
+        if since > _LIMIT:
+            return STALE, f"stale: no {_DAQ} for {since:.1f} s"
+        if new["restarts"] >= _MIXED:
+            return ERROR, f"samples of more than one rig: their numbers began anew {new['restarts']} times"
+        if self.description is None:
+            return WARN, "no rig/description yet: the rig's constants are not known"
+        if new["rejected messages"]:
+            told = f"{new['rejected messages']} messages were refused, the last one: {self._last_rejection}"
+            return WARN if new["blocks"] else ERROR, told
+        if new["samples not finite"]:
+            return WARN, f"{new['samples not finite']} samples hold a value that is not finite"
+        if new["lost samples"]:
+            return WARN, f"{new['lost samples']} samples were lost on the way here"
+        return OK, "running"

@@ -13,10 +13,10 @@ from squeal_rig.configuration.declared import declarations
 from squeal_rig.errors import DriverError
 from squeal_rig.instruments.channels import FORCE_CHANNELS
 from squeal_rig.instruments.driver import Driver, Samples
+from squeal_rig.instruments.numbering import SEQ_MODULUS
 from squeal_rig.instruments.settings import BLOCKS_PER_SECOND, RigSettings
 from squeal_rig.model.parameters import RUN_TIME_CONCERNS, RigParameters
 
-SEQ_MODULUS = 2**32
 _NS = 10**9
 
 

@@ -13,11 +13,12 @@ from squeal_rig.errors import SquealRigError
 from squeal_rig.estimation.friction_follower import MODEL, MU, SAMPLES, WINDOWS, FrictionFollower, Message
 from squeal_rig.estimation.settings import FrictionSettings
 from squeal_rig.graph import qos
-from squeal_rig.graph.health import DataWatch, Health, HealthPublisher
+from squeal_rig.graph.health import Health, HealthPublisher
 from squeal_rig.graph.lifetime import Lifetime, run_node
 from squeal_rig.graph.parameters import NODE_OPTIONS, DeclaredParameters
 from squeal_rig.graph.rig_follower import RigFollower
-from squeal_rig.instruments.channels import DAQ_CHANNELS, TRUTH_CHANNELS, block_from_cdr
+from squeal_rig.instruments.channels import TRUTH_CHANNELS, block_from_cdr
+from squeal_rig.instruments.driver import Samples
 
 _TOPICS = {
     SAMPLES: (PointCloud2, qos.BLOCKS),
@@ -33,46 +34,28 @@ class FrictionEstimatorNode(Node):
     def __init__(self, lifetime: Lifetime) -> None:
         super().__init__("friction_estimator", **NODE_OPTIONS)
         self._follower = FrictionFollower(DeclaredParameters(self, (FrictionSettings(),)).group(FrictionSettings))
-        self._rejected = 0
         self._windows = 0
-        self._watch = DataWatch("daq/samples")
         self._outputs = {name: self.create_publisher(kind, name, profile) for name, (kind, profile) in _TOPICS.items()}
-        RigFollower(self, self._follower.take_rig)
-        self.create_subscription(PointCloud2, "daq/samples", self._on_daq, qos.BLOCKS_IN, raw=True)
+        self._rig = RigFollower(self, self._follower.take_rig, self._on_block)
         self.create_subscription(PointCloud2, "truth/samples", self._on_truth, qos.BLOCKS_IN, raw=True)
         HealthPublisher(self, self._health)
 
-    def _on_daq(self, data: bytes) -> None:
-        self._watch.seen()
-        try:
-            stamp, _, daq = block_from_cdr(data, DAQ_CHANNELS)
-            self._publish(self._follower.take_block(stamp, daq))
-        except SquealRigError as error:
-            self._reject(error)
+    def _on_block(self, stamp: int, daq: Samples) -> None:
+        self._publish(self._follower.take_block(stamp, daq))
 
     def _on_truth(self, data: bytes) -> None:
         try:
             self._publish(self._follower.take_truth(block_from_cdr(data, TRUTH_CHANNELS).samples))
         except SquealRigError as error:
-            self._reject(error)
+            self._rig.reject(error)
 
     def _publish(self, messages: Sequence[Message]) -> None:
         for name, data in messages:
             self._windows += name == WINDOWS
             self._outputs[name].publish(data)
 
-    def _reject(self, error: SquealRigError) -> None:
-        self._rejected += 1
-        self.get_logger().warning(f"block refused: {error}", throttle_duration_sec=1.0)
-
     def _health(self) -> Health:
-        return self._watch.health(
-            {
-                "windows": self._windows,
-                "lost samples": self._follower.lost_samples,
-                "rejected blocks": self._rejected,
-            }
-        )
+        return self._rig.health({"windows": self._windows})
 
 
 def main(args: Sequence[str] | None = None) -> int:

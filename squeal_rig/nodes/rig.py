@@ -10,10 +10,11 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.timer import Timer
 
 from squeal_rig.configuration.declared import Declared
-from squeal_rig.errors import DriverError, ParameterError, SquealRigError
+from squeal_rig.errors import DriverError, ParameterError
 from squeal_rig.graph.conversions import ERROR, OK, WARN
 from squeal_rig.graph.health import Health, HealthPublisher
-from squeal_rig.graph.lifetime import STEADY, Lifetime, run_node
+from squeal_rig.graph.lifetime import STEADY, Lifetime, described, run_node
+from squeal_rig.graph.names import Claim, is_running
 from squeal_rig.graph.parameters import NODE_OPTIONS, DeclaredParameters, overrides
 from squeal_rig.graph.rig_interface import RigOutputs, offer_services
 from squeal_rig.instruments.acquisition import Acquisition, change_refusal
@@ -48,6 +49,10 @@ class RigNode(LifecycleNode):
         self._fault = ""
         self._told_overruns = 0
         self._warnings: tuple[str, ...] = ()
+        domain, full_name = self.context.get_domain_id(), self.get_fully_qualified_name()
+        self._claim = Claim(domain, full_name)
+        if not self._claim.granted or is_running(full_name, own=self):
+            raise DriverError(f"rig: {full_name} runs on ROS domain {domain} already: give this one a namespace")
         self._outputs = RigOutputs(self, self._driver.publishes_truth, self._settings.real_time_factor != 1.0)
         offer_services(self, {"reset": self.reset, "impact": self.impact, "zero": self.zero}, self.pause)
         HealthPublisher(self, self._health)
@@ -75,8 +80,7 @@ class RigNode(LifecycleNode):
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Let go of the driver."""
-        self.close()
-        return TransitionCallbackReturn.SUCCESS
+        return self._attempt(self.close)
 
     on_shutdown = on_cleanup
 
@@ -85,16 +89,17 @@ class RigNode(LifecycleNode):
         self._stop_timer()
         self._active = False
         if self._acquisition is not None:
-            self._samples = self._acquisition.samples
-            self._acquisition.close()
-            self._acquisition = None
+            acquisition, self._acquisition = self._acquisition, None
+            self._samples = acquisition.samples
+            acquisition.close()
 
     def _attempt(self, action: Callable[[], None]) -> TransitionCallbackReturn:
         try:
             action()
-        except SquealRigError as error:
-            self._fail(str(error))
+        except Exception as error:  # rclpy would swallow it, and a driver may raise anything
+            self._fail(described(error))
             return TransitionCallbackReturn.FAILURE
+        self._fault = ""
         return TransitionCallbackReturn.SUCCESS
 
     def _open(self) -> None:
@@ -105,7 +110,7 @@ class RigNode(LifecycleNode):
 
     def _activate(self) -> None:
         self._open()
-        self._fault, self._active, self._paused = "", True, False
+        self._active, self._paused = True, False
         self._restart()
 
     # --- sampling
@@ -136,9 +141,9 @@ class RigNode(LifecycleNode):
                 block = acquisition.next_block()
                 self._outputs.publish(block, acquisition.in_force, self._settings.drum_radius)
                 self._warnings = block.warnings or self._warnings
-        except SquealRigError as error:
+        except Exception as error:
             self._stop_timer()
-            self._fail(f"{error}; call ~/reset to start again")
+            self._fail(f"{described(error)}; call ~/reset to start again")
 
     def _fail(self, sentence: str) -> None:
         self._fault = sentence

@@ -7,19 +7,18 @@ from collections.abc import Sequence
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
-from sensor_msgs.msg import PointCloud2
 
-from squeal_rig.errors import ParameterError, SquealRigError
+from squeal_rig.errors import ParameterError
 from squeal_rig.estimation.settings import SquealSettings
 from squeal_rig.estimation.squeal import SquealDetector, SquealState
 from squeal_rig.graph import qos
 from squeal_rig.graph.conversions import ERROR, OK, WARN, diagnostics, status
-from squeal_rig.graph.health import DataWatch, Health, HealthPublisher
+from squeal_rig.graph.health import Health, HealthPublisher
 from squeal_rig.graph.lifetime import Lifetime, run_node
 from squeal_rig.graph.parameters import NODE_OPTIONS, DeclaredParameters
 from squeal_rig.graph.rig_follower import RigFollower
-from squeal_rig.instruments.channels import DAQ_CHANNELS, block_from_cdr
 from squeal_rig.instruments.description import RigDescription
+from squeal_rig.instruments.driver import Samples
 
 
 class SquealDetectorNode(Node):
@@ -31,11 +30,8 @@ class SquealDetectorNode(Node):
         self._detector: SquealDetector | None = None
         self._sample_rate = 0
         self._fault = ""
-        self._rejected = 0
-        self._watch = DataWatch("daq/samples")
         self._publisher = self.create_publisher(DiagnosticArray, "squeal/state", qos.EVENTS)
-        RigFollower(self, self._on_rig)
-        self.create_subscription(PointCloud2, "daq/samples", self._on_daq, qos.BLOCKS_IN, raw=True)
+        self._rig = RigFollower(self, self._on_rig, self._on_block)
         HealthPublisher(self, self._health)
 
     def _on_rig(self, rig: RigDescription) -> None:
@@ -48,21 +44,14 @@ class SquealDetectorNode(Node):
             self._fault = str(error)
             self.get_logger().error(self._fault)
 
-    def _on_daq(self, data: bytes) -> None:
-        self._watch.seen()
-        if self._detector is None:
-            return
-        try:
-            stamp, _, daq = block_from_cdr(data, DAQ_CHANNELS)
+    def _on_block(self, stamp: int, daq: Samples) -> None:
+        if self._detector is not None:
             for state in self._detector.add_samples(stamp, daq):
                 self._publisher.publish(_message(state))
-        except SquealRigError as error:
-            self._rejected += 1
-            self.get_logger().warning(f"block refused: {error}", throttle_duration_sec=1.0)
 
     def _health(self) -> Health:
-        values = {"rejected blocks": self._rejected}
-        return (ERROR, self._fault, values) if self._fault else self._watch.health(values)
+        level, sentence, values = self._rig.health({})
+        return (ERROR, self._fault, values) if self._fault else (level, sentence, values)
 
 
 def _message(state: SquealState) -> DiagnosticArray:

@@ -14,12 +14,13 @@ from std_msgs.msg import Float64MultiArray
 from squeal_rig.errors import SquealRigError
 from squeal_rig.estimation.stability_follower import EIGENVALUES, SUMMARY, Estimate, InForce, StabilityFollower
 from squeal_rig.graph import qos
-from squeal_rig.graph.health import DataWatch, Health, HealthPublisher
+from squeal_rig.graph.health import Health, HealthPublisher
 from squeal_rig.graph.lifetime import Lifetime, run_node
 from squeal_rig.graph.parameters import NODE_OPTIONS, DeclaredParameters
 from squeal_rig.graph.rig_follower import RigFollower
-from squeal_rig.instruments.channels import DAQ_CHANNELS, FRICTION_WINDOW_CHANNELS, block_from_cdr
+from squeal_rig.instruments.channels import FRICTION_WINDOW_CHANNELS, block_from_cdr
 from squeal_rig.instruments.description import RigDescription
+from squeal_rig.instruments.driver import Samples
 
 
 class StabilityNode(Node):
@@ -30,14 +31,11 @@ class StabilityNode(Node):
         DeclaredParameters(self, ())
         self._follower = StabilityFollower()
         self._analyses = 0
-        self._rejected = 0
-        self._watch = DataWatch("daq/samples")
         self._outputs = {
             name: self.create_publisher(kind, name, qos.LATCHED)
             for name, kind in ((EIGENVALUES, Float64MultiArray), (SUMMARY, DiagnosticArray))
         }
-        RigFollower(self, self._on_rig, events=True)
-        self.create_subscription(PointCloud2, "daq/samples", self._on_daq, qos.BLOCKS, raw=True)
+        self._rig = RigFollower(self, self._on_rig, self._on_block, qos.BLOCKS, events=True)
         self.create_subscription(PointCloud2, "friction/windows", self._on_window, qos.EVENTS, raw=True)
         HealthPublisher(self, self._health)
 
@@ -45,24 +43,15 @@ class StabilityNode(Node):
         self._follower.take_rig(rig)
         self._publish_if_due()
 
-    def _on_daq(self, data: bytes) -> None:
-        self._watch.seen()
-        try:
-            self._follower.take_block(InForce.after(block_from_cdr(data, DAQ_CHANNELS).samples))
-        except SquealRigError as error:
-            self._reject(error)
-        else:
-            self._publish_if_due()
+    def _on_block(self, _stamp: int, daq: Samples) -> None:
+        self._follower.take_block(InForce.after(daq))
+        self._publish_if_due()
 
     def _on_window(self, data: bytes) -> None:
         try:
             self._follower.take_estimate(Estimate.of(block_from_cdr(data, FRICTION_WINDOW_CHANNELS).samples[0]))
         except SquealRigError as error:
-            self._reject(error)
-
-    def _reject(self, error: SquealRigError) -> None:
-        self._rejected += 1
-        self.get_logger().warning(f"message refused: {error}", throttle_duration_sec=1.0)
+            self._rig.reject(error)
 
     def _publish_if_due(self) -> None:
         """Analyse and publish where something changed."""
@@ -73,7 +62,7 @@ class StabilityNode(Node):
                 self._outputs[name].publish(data)
 
     def _health(self) -> Health:
-        return self._watch.health({"analyses": self._analyses, "rejected messages": self._rejected})
+        return self._rig.health({"analyses": self._analyses})
 
 
 def main(args: Sequence[str] | None = None) -> int:

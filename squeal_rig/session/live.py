@@ -23,11 +23,14 @@ from squeal_rig.errors import ExperimentError, RecordingError
 from squeal_rig.graph import qos
 from squeal_rig.graph.conversions import status_number, status_values
 from squeal_rig.graph.lifetime import GuardedExecutor
+from squeal_rig.graph.names import Claim, is_running
 from squeal_rig.instruments.channels import DAQ_CHANNELS, FRICTION_WINDOW_CHANNELS, block_from_cdr
 
 # Discovery of a service took up to 2.3 s where it was measured.
 _SERVICE_TIMEOUT = 10.0
 _STALL_TIMEOUT = 10.0
+# Nodes on other machines are mostly found within this time [s].
+_DISCOVERY = 0.5
 _SPIN = 0.05
 _LISTENERS = "listeners to "  # of the rig's health
 
@@ -92,9 +95,7 @@ class LiveGraph:
 
     def spin(self, seconds: float = _SPIN) -> None:
         """Take what comes for that long [s]."""
-        deadline = time.monotonic() + seconds
-        while (left := deadline - time.monotonic()) > 0.0:
-            self._executor.spin_once(left)
+        self._executor.spin_for(seconds)
         self._watched()
         self.on_spin()
 
@@ -116,6 +117,14 @@ class LiveGraph:
         request = ChangeState.Request(transition=Transition(id=number))
         if not self._answer(self._change_state, request, timeout).success:
             raise ExperimentError("the rig could not be configured or activated: see its log")
+
+    def refuse_other_rig(self) -> None:
+        """`ExperimentError` where a rig is on the graph already: two of one name would be commanded as one."""
+        domain = self._node.context.get_domain_id()
+        claim = Claim(domain, "/rig")
+        claim.release()  # our own rig is about to take it
+        if not claim.granted or is_running("/rig", discovery=_DISCOVERY):
+            raise ExperimentError(f"a rig runs on ROS domain {domain} already: end it, or set ROS_DOMAIN_ID")
 
     def wait_for(self, condition: Callable[[], bool], what: str, timeout: float) -> None:
         """Spin until a condition holds; `ExperimentError` after `timeout` [s]."""

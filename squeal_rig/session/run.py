@@ -68,6 +68,15 @@ class SignalWatch:
             raise InterruptedByOperator
 
 
+def keep_to_this_machine() -> str:
+    """Keep the ROS graph to this machine, unless the user has said how far it reaches; tells domain and range.
+
+    The domain stays the user's, so that any tool on this machine sees the rig.
+    """
+    reach = os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    return f"ROS_DOMAIN_ID {os.environ.get('ROS_DOMAIN_ID') or 0}, ROS_AUTOMATIC_DISCOVERY_RANGE {reach}"
+
+
 def private_domain() -> None:
     """Keep the ROS graph to this machine and to this run, before the first node starts."""
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
@@ -79,7 +88,7 @@ def run_session(options: SessionOptions, console: Console, watch: SignalWatch) -
     """Start the nodes, follow them, run the plan, end them.
 
     Raises:
-        ExperimentError: a node did not start or died, or the plan could not be run.
+        ExperimentError: a rig is there already, a node did not start or died, or the plan could not be run.
     """
     result = SessionResult()
     log_directory = Path(tempfile.mkdtemp(prefix="squeal_rig_"))
@@ -90,8 +99,10 @@ def run_session(options: SessionOptions, console: Console, watch: SignalWatch) -
         for node in nodes:
             node.check()
 
+    console.print(keep_to_this_machine())
     graph = LiveGraph(watched)
     try:
+        graph.refuse_other_rig()
         _start(options, nodes, log_directory, graph)
         with StateDisplay(console, graph.state) as display:
             _follow(options, graph, display, result)

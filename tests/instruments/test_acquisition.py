@@ -7,10 +7,11 @@ import pytest
 
 from squeal_rig.configuration.declared import declarations
 from squeal_rig.errors import DriverError, ParameterError
-from squeal_rig.instruments.acquisition import SEQ_MODULUS, Acquisition, change_refusal, slewed
+from squeal_rig.instruments.acquisition import Acquisition, change_refusal, slewed
 from squeal_rig.instruments.channels import DAQ_RECORD, TRUTH_RECORD
 from squeal_rig.instruments.description import RigDescription
 from squeal_rig.instruments.means import block_means
+from squeal_rig.instruments.numbering import SEQ_MODULUS
 from squeal_rig.instruments.settings import RigSettings
 from squeal_rig.instruments.virtual import VirtualRig
 from squeal_rig.model import RigParameters, simulate
