@@ -212,6 +212,7 @@ def test_one_odd_stamp_and_an_early_snapshot_end_no_recording(processes, observe
     observer.wait_for(lambda: words.get_subscription_count() == 1, "the topic's subscription")
     words.publish(String(data="word"))
     observer.wait_for(lambda: observer.trigger("snapshot", "recorder")[0], "the snapshot")
+    observer.wait_for(lambda: health_of(health, "recorder"), "its health")
     assert health_of(health, "recorder")[0] == 0
     assert recorder.end()[0] == 0
     assert Bag(tmp_path / "run").ending == "complete"
