@@ -59,3 +59,7 @@ class Pacer:
         count = min(waiting, _MOST_AT_ONCE)
         self._made += count
         return count, overrun
+
+    def put_back(self, count: int) -> None:
+        """That many of the blocks due were not made after all: they are due once more."""
+        self._made -= count

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 
 from squeal_rig.errors import DriverError
@@ -14,8 +16,9 @@ from squeal_rig.model.core.layout import K1, K2, NORMAL, SAMPLE_SIZE, TANGENTIAL
 from squeal_rig.model.motion.trajectory import Motion, resting_state, validity_warnings
 from squeal_rig.model.parameters import RigParameters
 
-#: Steps of the engine in a block of 10 ms, after which the rig has a fault: about a second of work.
-_BUDGET = 1_000_000
+# A block is computed in pieces of so many samples, and given up when a piece uses more steps of the engine than this
+# (10 us each at worst), or the pieces after the first more time than this [s]: nobody is answered meanwhile.
+_PIECE, _BUDGET, _LONGEST = 64, 100_000, 1.0
 
 
 class VirtualRig:
@@ -55,10 +58,19 @@ class VirtualRig:
         motion = self._opened()
         if in_force is not self._in_force:
             self._take(in_force)
-        motion.advance(self._states)
+        self._advance(motion)
         daq, truth = np.zeros(len(self._states), DAQ_RECORD), np.zeros(len(self._states), TRUTH_RECORD)
         fill_channels(self._states, self._packed, self._instruments, daq, truth)
         return Reading(daq, truth, tuple(validity_warnings(in_force, self._states)))
+
+    def _advance(self, motion: Motion) -> None:
+        begun = 0.0
+        for first in range(0, len(self._states), _PIECE):
+            motion.advance(self._states[first : first + _PIECE])
+            now = time.monotonic()
+            begun = begun or now  # the very first piece may have compiled the model
+            if now - begun > _LONGEST:
+                raise DriverError(f"the motion changes too fast: a block of 10 ms takes more than {_LONGEST:g} s")
 
     def _take(self, p: RigParameters) -> None:
         motion = self._opened()

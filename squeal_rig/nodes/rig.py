@@ -25,6 +25,9 @@ from squeal_rig.instruments.settings import PresetChoice, RigSettings
 from squeal_rig.model.core.law import friction_refusal
 from squeal_rig.model.parameters import RigParameters
 
+# Catching up, blocks are made for so long [s] before others get their turn: services, parameters, signals.
+_TURN = 0.1
+
 
 class RigNode(LifecycleNode):
     """Samples a driver in blocks of 10 ms and takes changes of the operating point at block boundaries."""
@@ -137,10 +140,14 @@ class RigNode(LifecycleNode):
             self.get_logger().warning("fell behind real time: time skipped, t0 set anew")
             acquisition.start(self._outputs.restart_stamp(self.get_clock().now().nanoseconds))
         try:
-            for _ in range(count):
+            begun = time.monotonic()
+            for made in range(1, count + 1):
                 block = acquisition.next_block()
                 self._outputs.publish(block, acquisition.in_force, self._settings.drum_radius)
                 self._warnings = block.warnings or self._warnings
+                if time.monotonic() - begun > _TURN:
+                    self._pacer.put_back(count - made)
+                    break
         except Exception as error:
             self._stop_timer()
             self._fail(f"{described(error)}; call ~/reset to start again")

@@ -43,3 +43,11 @@ def test_as_fast_as_possible_always_has_a_block_due():
     pacer = Pacer(0.0)
     pacer.start(0.0)
     assert [pacer.due(0.0)[0] for _ in range(3)] == [1, 1, 1]
+
+
+def test_blocks_put_back_are_due_once_more():
+    pacer = Pacer(1.0)
+    pacer.start(0.0)
+    assert pacer.due(0.05)[0] == 5
+    pacer.put_back(3)
+    assert pacer.due(0.05)[0] == 3

@@ -4,8 +4,8 @@ import os
 
 import pytest
 
-from .processes import parameters
-from .statuses import health_of
+from tests.graph.processes import parameters
+from tests.graph.statuses import health_of
 
 pytest.importorskip("rclpy")
 

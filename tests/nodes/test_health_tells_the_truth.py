@@ -6,8 +6,7 @@ import pytest
 from squeal_rig.instruments.channels import DAQ_RECORD
 from squeal_rig.instruments.description import RigDescription
 from squeal_rig.model import RigParameters
-
-from .statuses import health_of
+from tests.graph.statuses import health_of
 
 pytest.importorskip("rclpy")
 

@@ -4,7 +4,7 @@ import signal
 
 import pytest
 
-from .processes import parameters
+from tests.graph.processes import parameters
 
 pytest.importorskip("rclpy")
 
