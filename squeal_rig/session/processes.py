@@ -15,6 +15,7 @@ from squeal_rig.errors import ExperimentError
 from squeal_rig.graph import signals
 
 _STOP_TIMEOUT = 5.0
+_LOOK = 0.1  # how often is looked whether a node has ended or still writes [s]
 _START = Path(__file__).parents[1] / "nodes" / "start.py"
 
 
@@ -80,16 +81,28 @@ class NodeProcess:
             return None
 
 
-def stop_all(nodes: Sequence[NodeProcess]) -> dict[str, int]:
-    """End nodes by SIGINT, all at once; one that does not follow is killed. Returns name -> exit code."""
+def stop_all(nodes: Sequence[NodeProcess], writing: Path | None = None) -> dict[str, int]:
+    """End nodes by SIGINT, all at once; one that does not follow is killed. Returns name -> exit code.
+
+    A node that still writes what it holds into the folder `writing` is waited for as long as the folder grows.
+    """
     for node in nodes:
         node.signal(signal.SIGINT)
-    deadline = time.monotonic() + _STOP_TIMEOUT
+    deadline, size = time.monotonic() + _STOP_TIMEOUT, _size(writing)
     codes = {}
     for node in nodes:
-        code = node.wait(max(0.0, deadline - time.monotonic()))
+        code = node.wait(_LOOK)
+        while code is None and time.monotonic() < deadline:
+            if _size(writing) != size:
+                deadline, size = time.monotonic() + _STOP_TIMEOUT, _size(writing)
+            code = node.wait(_LOOK)
         if code is None:
             node.signal(signal.SIGKILL)
             code = node.wait(_STOP_TIMEOUT)
         codes[node.name] = code if code is not None else -signal.SIGKILL
     return codes
+
+
+def _size(folder: Path | None) -> int:
+    """Bytes of the files in a folder; 0 where there is none."""
+    return 0 if folder is None else sum(file.stat().st_size for file in folder.glob("*") if file.is_file())

@@ -113,7 +113,7 @@ def run_session(options: SessionOptions, console: Console, watch: SignalWatch) -
         running, nodes = list(nodes), []
         for name in ("simulator", None, "recorder"):
             chosen = [n for n in running if n.name == name or (name is None and n.name in CONSUMERS)]
-            result.exit_codes |= stop_all(chosen)
+            result.exit_codes |= stop_all(chosen, options.bag if name == "recorder" else None)
         graph.close()
         if options.bag is not None and options.bag.is_dir():
             shutil.copytree(log_directory, options.bag / "logs", dirs_exist_ok=True)
