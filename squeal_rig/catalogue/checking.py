@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from squeal_rig.configuration.declared import Declared, declarations, unknown_name
+from squeal_rig.configuration.declared import Declared, declarations
 from squeal_rig.configuration.files import load_yaml
+from squeal_rig.configuration.node_files import RCLPY_NAMES, ROS_KEY, node_of, parameter_blocks, unknown_parameter
 from squeal_rig.errors import ConfigurationError, DriverError, ParameterError
 from squeal_rig.estimation.calibration.problem import load_calibration
 from squeal_rig.estimation.calibration.targets import load_targets, looks_like_targets
@@ -28,8 +29,6 @@ NODE_PARAMETERS: dict[str, tuple[type[Declared], ...]] = {
     "recorder": (RecorderSettings,),
     "player": (PlayerSettings,),
 }
-_ROS_KEY = "ros__parameters"
-_ROS_NAMES = ("use_sim_time",)
 
 
 def check_file(path: Path | str) -> str:
@@ -57,28 +56,40 @@ def check_file(path: Path | str) -> str:
 
 
 def _check_node(path: Path | str, key: str, body: object) -> str:
-    """Check one node's block of a ROS parameter file; returns the node's name."""
-    name = str(key).rstrip("/").split("/")[-1]
-    where = f"{path}, {key}"
-    if not isinstance(body, dict) or set(body) != {_ROS_KEY}:
-        raise ConfigurationError(f"{where}: a node's block holds {_ROS_KEY} and nothing else")
-    if name not in NODE_PARAMETERS:
+    """Check one block of a ROS parameter file; returns the name of its node, or what of it is for no node of ours."""
+    name, where = node_of(str(key)), f"{path}, {key}"
+    if not isinstance(body, dict) or set(body) != {ROS_KEY}:
+        raise ConfigurationError(f"{where}: a node's block holds {ROS_KEY} and nothing else")
+    values = next(block for _, block in parameter_blocks(body))
+    values = {k: v for k, v in values.items() if k not in RCLPY_NAMES}
+    if name and name not in NODE_PARAMETERS:
         raise ConfigurationError(f"{where}: no node {name!r}: there are {', '.join(NODE_PARAMETERS)}")
     if not str(key).startswith("/"):
         raise ConfigurationError(f"{where}: the key does not match a node in a namespace: write /**/{name}")
-    values = {k: v for k, v in (body[_ROS_KEY] or {}).items() if k not in _ROS_NAMES}
     try:
-        _check_values(path, NODE_PARAMETERS[name], values)
+        if name:
+            _check_values(path, NODE_PARAMETERS[name], values)
+            return name
+        return f"every node{_check_for_all(path, values)}"
     except (ParameterError, ConfigurationError, DriverError) as error:
         raise type(error)(f"{where}: {error}") from None
-    return name
+
+
+def _check_for_all(path: Path | str, values: Mapping[str, Any]) -> str:
+    """Check what is for every node, as far as a node has it; the rest in words, which each of them passes over."""
+    foreign = set(values)
+    for kinds in NODE_PARAMETERS.values():
+        own = {name: value for name, value in values.items() if any(name in declarations(kind) for kind in kinds)}
+        _check_values(path, kinds, own)
+        foreign -= own.keys()
+    return f" (passed over: {', '.join(sorted(foreign))})" if foreign else ""
 
 
 def _check_values(path: Path | str, kinds: tuple[type[Declared], ...], values: Mapping[str, Any]) -> None:
     known = {name: kind for kind in kinds for name in declarations(kind)}
     for name in values:
         if name not in known:
-            raise unknown_name(str(name), known)
+            raise unknown_parameter(str(name), known)
     for kind in kinds:
         own = {name: value for name, value in values.items() if known[name] is kind}
         base = RigParameters.preset(str(values.get("preset", "yavuz_sen_2023"))) if kind is RigParameters else None

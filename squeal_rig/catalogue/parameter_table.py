@@ -39,6 +39,8 @@ def _row(d: Declaration) -> str:
         bounds = f"{d.lower:g} to {d.upper:g}"
     else:
         bounds = ""
+    if d.multiple:
+        bounds += f", multiples of {d.multiple}"
     at_run_time = "no" if d.read_only else "inactive only" if d.concern in ("machine", "contact") else "yes"
     what = d.description + (" (assumed)" if d.assumed else "")
     return f"| `{d.name}` | {default} | {d.unit} | {bounds} | {at_run_time} | {what} |\n"

@@ -21,7 +21,10 @@ _METADATA_KEY = "declaration"
 
 @dataclass(frozen=True)
 class Declaration:
-    """What is known of one parameter. Bounds are inclusive, in `unit`; a tuple is a list of texts."""
+    """What is known of one parameter. Bounds are inclusive, in `unit`; a tuple is a list of texts.
+
+    An integer is a multiple of `multiple`, where that is not 0.
+    """
 
     default: float | int | bool | str | tuple[str, ...]
     description: str
@@ -32,6 +35,7 @@ class Declaration:
     concern: str = ""
     assumed: bool = False
     read_only: bool = False
+    multiple: int = 0
     name: str = ""
 
     @property
@@ -103,6 +107,8 @@ def checked(declaration: Declaration, value: object) -> Any:
         raise ParameterError(f"{name} = {number}{unit} is not finite: it must be {declaration.bounds}")
     if not declaration.lower <= number <= declaration.upper:
         raise ParameterError(f"{name} = {number:.15g}{unit} is out of bounds: it must be {declaration.bounds}")
+    if declaration.multiple and number % declaration.multiple:
+        raise ParameterError(f"{name} = {number}{unit} must be a multiple of {declaration.multiple}{unit}")
     return number
 
 

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+import re
+import sys
+from collections.abc import Callable, Sequence, Sized
+from itertools import pairwise
 from typing import Any
 
 from rcl_interfaces.msg import (
@@ -16,8 +19,11 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from squeal_rig.configuration.declared import Declaration, Declared, checked, declarations, unknown_name
+from squeal_rig.configuration.declared import Declaration, Declared, checked, declarations
+from squeal_rig.configuration.files import load_yaml
+from squeal_rig.configuration.node_files import RCLPY_NAMES, node_of, parameter_blocks, unknown_parameter
 from squeal_rig.errors import ParameterError
+from squeal_rig.model.parameters import RUN_TIME_CONCERNS
 
 _TYPES = {
     float: ParameterType.PARAMETER_DOUBLE,
@@ -26,23 +32,59 @@ _TYPES = {
     str: ParameterType.PARAMETER_STRING,
     tuple: ParameterType.PARAMETER_STRING_ARRAY,
 }
-# Parameters that rclpy declares or reads itself.
-_RCLPY_NAMES = ("use_sim_time", "start_type_description_service")
-_RCLPY_PREFIXES = ("qos_overrides.",)
+# The longest number that a text can be, and no text that would take long to read as one.
+_INTEGER = re.compile(r"[-+]?[0-9]{1,18}")
+_NUMBER = re.compile(r"[-+]?([0-9]{1,300}(\.[0-9]{0,300})?|\.[0-9]{1,300})([eE][-+]?[0-9]{1,3})?")
 
 Refusal = Callable[[str, Declared, Declared], str | None]
 
 #: Keyword arguments of a node whose parameters are a `DeclaredParameters`.
-NODE_OPTIONS: dict[str, Any] = {
-    "automatically_declare_parameters_from_overrides": True,  # how we see the overrides that nobody declared
-    "allow_undeclared_parameters": True,  # only to refuse them by name
-}
+NODE_OPTIONS: dict[str, Any] = {"allow_undeclared_parameters": True}  # only to refuse them by name
 
 
 def overrides(node: Node) -> dict[str, Any]:
-    """Name -> value of the parameters given at start (files and arguments), rclpy's own left out."""
-    given = node.get_parameters_by_prefix("")
-    return {name: parameter.value for name, parameter in given.items() if not _is_rclpys(name)}
+    """Name -> value of the parameters given at start (files and arguments), rclpy's own left out.
+
+    rclpy's public way, to have them all declared, ends the node on an empty list: such an override has no type.
+    """
+    given = node._parameter_overrides
+    return {name: parameter.value for name, parameter in given.items() if name not in RCLPY_NAMES}
+
+
+def passed_over(node_name: str, arguments: Sequence[str]) -> set[str]:
+    """Names of parameters that came from a block for every node (`/**`) and from nowhere else.
+
+    Such a block is no mistake where a node does not have one of them; what was given to this node itself is.
+
+    Raises:
+        ConfigurationError: a parameter file cannot be read.
+    """
+    for_all, own = set[str](), set[str]()
+    for option, value in pairwise(arguments):
+        if option in ("-p", "--param"):
+            own.add(value.split(":=")[0].split(":")[-1])
+        elif option == "--params-file":
+            for key, values in parameter_blocks(load_yaml(value)):
+                if not node_of(key):
+                    for_all |= values.keys()
+                elif node_of(key) == node_name:
+                    own |= values.keys()
+    return for_all - own
+
+
+def meant(declaration: Declaration, value: Any) -> Any:
+    """The value in the declared type where it can only be meant so: integers and numeric text for numbers.
+
+    ros2cli reads by YAML 1.1, where 6e7 and 1e-05 are texts, and gives an empty list another type or none.
+    """
+    kind = declaration.kind
+    if kind is tuple and (
+        value is None or (not isinstance(value, str) and isinstance(value, Sized) and not len(value))
+    ):
+        return ()
+    if kind in (int, float) and isinstance(value, str) and (_INTEGER if kind is int else _NUMBER).fullmatch(value):
+        return kind(value)
+    return float(value) if kind is float and type(value) is int else value
 
 
 class DeclaredParameters:
@@ -72,18 +114,19 @@ class DeclaredParameters:
             self._declarations |= declarations(type(group))
         given = overrides(node)
         try:
-            for name in given:
-                if name not in self._declarations:
-                    raise unknown_name(name, self._declarations)
+            unknown = given.keys() - self._declarations.keys()
+            foreign = unknown & passed_over(node.get_name(), sys.argv) if unknown else set()
+            for name in sorted(unknown - foreign):
+                raise unknown_parameter(name, self._declarations)
+            if foreign:
+                node.get_logger().warning(f"not a parameter of this node, passed over: {', '.join(sorted(foreign))}")
             self._groups = {type(group): self._merged(group, given) for group in defaults}
         except ParameterError as error:
             raise ParameterError(f"{node.get_name()}: {error}") from None
         for group in self._groups.values():
             for name, value in group.as_mapping().items():
-                if node.has_parameter(name):
-                    node.undeclare_parameter(name)
                 node.declare_parameter(name, _as_ros(value), descriptor(self._declarations[name]), ignore_override=True)
-        node.add_pre_set_parameters_callback(self._integers_as_floats)
+        node.add_pre_set_parameters_callback(self._as_declared)
         node.add_on_set_parameters_callback(self._judge)
         node.add_post_set_parameters_callback(self._take)
 
@@ -92,25 +135,29 @@ class DeclaredParameters:
         return self._groups[kind]
 
     def _merged(self, group: Declared, values: dict[str, Any]) -> Declared:
-        own = {name: value for name, value in values.items() if name in declarations(type(group))}
+        known = declarations(type(group))
+        own = {name: meant(known[name], value) for name, value in values.items() if name in known}
         return type(group).from_mapping(own, group) if own else group
 
-    def _integers_as_floats(self, changes: list[Parameter]) -> list[Parameter]:
-        return [self._as_declared(change) for change in changes]
+    def _as_declared(self, changes: list[Parameter]) -> list[Parameter]:
+        """What can only be meant so in the declared type, before rclpy looks at types; the rest as it is."""
 
-    def _as_declared(self, change: Parameter) -> Parameter:
-        declaration = self._declarations.get(change.name)
-        if declaration is not None and declaration.kind is float and change.type_ == Parameter.Type.INTEGER:
-            return Parameter(change.name, Parameter.Type.DOUBLE, float(change.value))
-        return change
+        def declared(change: Parameter) -> Parameter:
+            declaration = self._declarations.get(change.name)
+            value = change.value if declaration is None else meant(declaration, change.value)
+            if declaration is None or type(value) is not declaration.kind:
+                return change
+            return Parameter(change.name, Parameter.Type(_TYPES[declaration.kind]), _as_ros(value))
+
+        return [declared(change) for change in changes]
 
     def _judge(self, changes: list[Parameter]) -> SetParametersResult:
         """Accept or refuse, change nothing: the change is applied after rclpy has accepted it."""
-        values = {change.name: change.value for change in changes if not _is_rclpys(change.name)}
+        values = {change.name: change.value for change in changes if change.name not in RCLPY_NAMES}
         try:
             for name, value in values.items():
                 if name not in self._declarations:
-                    raise unknown_name(name, self._declarations)
+                    raise unknown_parameter(name, self._declarations)
                 checked(self._declarations[name], value)
             for kind, group in self._groups.items():
                 wanted = self._merged(group, values)
@@ -132,18 +179,26 @@ class DeclaredParameters:
 
 
 def descriptor(declaration: Declaration) -> ParameterDescriptor:
-    """ROS parameter descriptor of a declaration: type, range, unit and options in the description."""
+    """ROS parameter descriptor of a declaration: type and range, the unit in the description, all else in words."""
     details = [declaration.description]
     if declaration.unit:
         details.append(f"[{declaration.unit}]")
-    if declaration.options:
-        details.append("one of: " + ", ".join(declaration.options))
     if declaration.assumed:
         details.append("(assumed: not published)")
+    constraints = []
+    if declaration.options:
+        constraints.append("one of: " + ", ".join(declaration.options))
+    if math.isfinite(declaration.lower):
+        constraints.append(declaration.bounds)
+    if declaration.multiple:
+        constraints.append(f"a multiple of {declaration.multiple}")
+    if declaration.concern and declaration.concern not in RUN_TIME_CONCERNS:
+        constraints.append("changes only while the rig is inactive")
     result = ParameterDescriptor(
         name=declaration.name,
         type=_TYPES[declaration.kind],
         description=" ".join(details),
+        additional_constraints="; ".join(constraints),
         read_only=declaration.read_only,
     )
     if math.isfinite(declaration.lower) and math.isfinite(declaration.upper):
@@ -151,13 +206,11 @@ def descriptor(declaration: Declaration) -> ParameterDescriptor:
         if declaration.kind is float:
             result.floating_point_range = [FloatingPointRange(from_value=low, to_value=high, step=0.0)]
         elif declaration.kind is int:
-            result.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
+            result.integer_range = [
+                IntegerRange(from_value=int(low), to_value=int(high), step=declaration.multiple or 1)
+            ]
     return result
 
 
 def _as_ros(value: Any) -> Any:
     return list(value) if isinstance(value, tuple) else value
-
-
-def _is_rclpys(name: str) -> bool:
-    return name in _RCLPY_NAMES or name.startswith(_RCLPY_PREFIXES)

@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 from squeal_rig.configuration.declared import Declared, quantity
-from squeal_rig.errors import ParameterError
 
 #: One block is published every 10 ms of sampled time.
 BLOCKS_PER_SECOND = 100
@@ -26,7 +25,13 @@ class RigSettings(Declared):
     driver: str = quantity("virtual", "what stands behind the rig, as an installed package offers it", read_only=True)
     autostart: bool = quantity(True, "configure and activate the rig at start", read_only=True)
     sample_rate: int = quantity(
-        51200, "samples per second, a multiple of 100", unit="Hz", lower=1000, upper=2_000_000, read_only=True
+        51200,
+        "samples per second; a block is 10 ms of whole ones",
+        unit="Hz",
+        lower=1000,
+        upper=2_000_000,
+        multiple=BLOCKS_PER_SECOND,
+        read_only=True,
     )
     real_time_factor: float = quantity(
         1.0,
@@ -76,14 +81,6 @@ class RigSettings(Declared):
         lower=-math.pi,
         upper=math.pi,
     )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.sample_rate % BLOCKS_PER_SECOND:
-            raise ParameterError(
-                f"sample_rate = {self.sample_rate} Hz must be a multiple of {BLOCKS_PER_SECOND} Hz:"
-                " a block is 10 ms of whole samples"
-            )
 
     @property
     def block_size(self) -> int:

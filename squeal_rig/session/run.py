@@ -16,6 +16,7 @@ from lifecycle_msgs.msg import Transition
 from rich.console import Console
 
 from squeal_rig.configuration.files import load_yaml
+from squeal_rig.configuration.node_files import node_of, parameter_blocks
 from squeal_rig.errors import ExperimentError
 from squeal_rig.experiments.engine import StepRecord, run_plan
 from squeal_rig.experiments.plan import Plan, Step
@@ -142,9 +143,8 @@ def _start(options: SessionOptions, nodes: list[NodeProcess], logs: Path, graph:
 
 def _has_own_clock(config: Path) -> bool:
     """Whether the rig of a parameter file publishes `/clock`: where it does not run in real time."""
-    content = load_yaml(config)
-    rigs = [body for key, body in content.items() if str(key).split("/")[-1] == "rig"]
-    return any((body.get("ros__parameters") or {}).get("real_time_factor", 1.0) != 1.0 for body in rigs)
+    blocks = parameter_blocks(load_yaml(config))
+    return any(values.get("real_time_factor", 1.0) != 1.0 for key, values in blocks if node_of(key) in ("", "rig"))
 
 
 def _follow(options: SessionOptions, graph: LiveGraph, display: StateDisplay, result: SessionResult) -> None:

@@ -39,6 +39,14 @@ IN_A_FILE = {
     "negative_mass": ("/**/rig:\n  ros__parameters:\n    mass: -1.0\n", "mass = -1 kg is out of bounds"),
     "unknown_key": ("/**/rig:\n  ros__parameters:\n    preloda: 50.0\n", "did you mean 'preload'?"),
     "nested_key": ("/**/rig:\n  ros__parameters:\n    arm: {mass: 1.0}\n", "unknown parameter 'arm.mass'"),
+    "unknown_key_here_and_for_all": (
+        "/**:\n  ros__parameters:\n    preloda: 5.0\n/**/rig:\n  ros__parameters:\n    preloda: 50.0\n",
+        "did you mean 'preload'?",
+    ),
+    "qos_overrides": (
+        "/**/rig:\n  ros__parameters:\n    qos_overrides: {/daq/samples: {publisher: {depth: 3}}}\n",
+        "the quality of service of every topic is fixed, there are no qos_overrides",
+    ),
     "broken_yaml": ("/**/rig:\n  ros__parameters:\n    mass: [1.0\n", "bad.yaml"),
     "not_a_parameter_file": ("mass: 11.5\n", "bad.yaml"),
     "twice_the_same_key": ("/**/rig:\n  ros__parameters:\n    mass: 1.0\n    mass: -2.0\n", "mass = -2 kg"),
