@@ -41,13 +41,17 @@ def run(
     from squeal_rig.catalogue.checking import check_file
     from squeal_rig.configuration.files import config_directory
     from squeal_rig.experiments.plan import load_plan
+    from squeal_rig.graph import signals
     from squeal_rig.session.run import SessionOptions, SignalWatch, run_session
 
     parameters = config or config_directory() / "rig.yaml"
     check_file(parameters)
     chosen_plan = load_plan(plan) if plan is not None else None
     options = SessionOptions(parameters, _new_bag(bag) if record else None, chosen_plan, duration)
-    result = run_session(options, console, SignalWatch())
+    try:
+        result = run_session(options, console, SignalWatch())
+    finally:
+        signals.ignore()  # what is left is to end
     failed = {name: code for name, code in result.exit_codes.items() if code != 0}
     if options.bag is not None:
         console.print(f"bag: {options.bag}")
@@ -60,9 +64,14 @@ def demo(
     bag: Annotated[Path | None, typer.Option(help="Bag to write; bags/<UTC stamp> by default.")] = None,
 ) -> None:
     """From quiet sliding into squeal: a scripted run of 20 s, its bag, its replay, its picture."""
+    from squeal_rig.graph import signals
     from squeal_rig.session.demo import run_demo
 
-    raise typer.Exit(run_demo(_new_bag(bag), console))
+    try:
+        code = run_demo(_new_bag(bag), console)
+    finally:
+        signals.ignore()  # what is left is to end
+    raise typer.Exit(code)
 
 
 @app.command()
@@ -82,6 +91,8 @@ def analyse(
     console.print(segment_table(analysis))
     if analysis.lost_samples:
         console.print(f"lost samples: {analysis.lost_samples}")
+    if analysis.restarts:
+        console.print(f"the rig was started anew {analysis.restarts} times: the parts are joined end to end")
     draw_run(analysis, target)
     console.print(f"picture: {target}")
 

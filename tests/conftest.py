@@ -5,6 +5,8 @@ import pytest
 from .graph.domains import private_domain
 from .graph.processes import Processes
 
+# Compiling the model for the first time takes tens of seconds, on a busy machine minutes.
+_COMPILING = 600.0
 _MEASURED = pytest.StashKey[list]()
 
 
@@ -44,3 +46,19 @@ def observer(domain):
     node = Observer(domain)
     yield node
     node.close()
+
+
+@pytest.fixture(scope="session")
+def compiled(tmp_path_factory):
+    """Has the compiled model on disk, so that nodes start as they do from the second time on."""
+    from .graph.observer import Observer
+
+    with private_domain() as number:
+        started = Processes(number, tmp_path_factory.mktemp("compile"))
+        node = Observer(number)
+        simulator = started.node("simulator")
+        blocks = node.follow_samples("daq/samples")
+        node.wait_for(lambda: blocks or not simulator.running, "the first block", _COMPILING)
+        assert simulator.running, simulator.errors
+        node.close()
+        started.end_all()

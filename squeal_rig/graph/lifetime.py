@@ -6,14 +6,12 @@ that it cannot take, through to whoever spins.
 
 from __future__ import annotations
 
-import signal
 import sys
 import time
 import traceback
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import rclpy
@@ -28,8 +26,9 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from squeal_rig.errors import SquealRigError
+from squeal_rig.graph import signals
 
-# A signal only sets a flag, so a second one during teardown does no harm; the flag is seen after this time [s] at most.
+# A signal only sets a flag, which is seen after this time [s] at most.
 _SPIN_TIMEOUT = 0.1
 
 #: Pacing and staleness use it: a ROS-time timer never fires once `/clock` has died.
@@ -40,16 +39,17 @@ class Lifetime:
     """Whether a node goes on; the node may end itself."""
 
     def __init__(self) -> None:
-        self.stopping = False
+        self._stopped = False
         self.exit_code = 0
+
+    @property
+    def stopping(self) -> bool:
+        """Whether the node is to end: by itself, or since a signal has come."""
+        return self._stopped or signals.asked_to_end()
 
     def stop(self, exit_code: int = 0) -> None:
         """End the node once the current callback returns."""
-        self.stopping, self.exit_code = True, exit_code
-
-    def on_signal(self, _number: int, _frame: FrameType | None) -> None:
-        """End the node cleanly, also on the second and third signal."""
-        self.stopping = True
+        self._stopped, self.exit_code = True, exit_code
 
 
 class GuardedExecutor(SingleThreadedExecutor):
@@ -134,11 +134,18 @@ def described(error: Exception) -> str:
 def run_node(factory: Callable[[Lifetime], Node], args: Sequence[str] | None = None) -> int:
     """Run one node to its end and return the process's exit code.
 
-    `factory` builds the node; a node with a `close()` method has it called before it is destroyed.
+    `factory` builds the node; a node with a `close()` method has it called before it is destroyed, and one with a
+    `greeting` says it once it runs.
     """
+    signals.watch()
+    try:
+        return 0 if signals.asked_to_end() else _run(factory, args)
+    finally:
+        signals.ignore()
+
+
+def _run(factory: Callable[[Lifetime], Node], args: Sequence[str] | None) -> int:
     lifetime = Lifetime()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lifetime.on_signal)
     try:
         rclpy.init(args=list(args) if args is not None else None, signal_handler_options=SignalHandlerOptions.NO)
         node = factory(lifetime)
@@ -152,6 +159,8 @@ def run_node(factory: Callable[[Lifetime], Node], args: Sequence[str] | None = N
         return _refused(f"the node could not start: {described(error)}", 1)
     executor = GuardedExecutor()
     executor.add_node(node)
+    greeting = getattr(node, "greeting", "waiting for daq/samples")
+    node.get_logger().info(f"{greeting}; ROS domain {node.context.get_domain_id()}, Ctrl-C ends it")
     try:
         while rclpy.ok() and not lifetime.stopping:
             executor.spin_once(_SPIN_TIMEOUT)

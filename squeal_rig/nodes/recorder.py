@@ -56,7 +56,7 @@ class RecorderNode(Node):
             self.create_service(Trigger, f"~/{name}", self._serves(action))
         HealthPublisher(self, self._health)
         self._topics.discover()
-        self.get_logger().info(self._session.state)
+        self.greeting = self._session.state
 
     @property
     def _settings(self) -> RecorderSettings:

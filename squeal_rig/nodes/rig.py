@@ -59,6 +59,7 @@ class RigNode(LifecycleNode):
         self._outputs = RigOutputs(self, self._driver.publishes_truth, self._settings.real_time_factor != 1.0)
         offer_services(self, {"reset": self.reset, "impact": self.impact, "zero": self.zero}, self.pause)
         HealthPublisher(self, self._health)
+        self.greeting = f"driver {self._driver_name}, {self._settings.sample_rate} Hz"
         if self._settings.autostart:
             for transition in (self.trigger_configure, self.trigger_activate):
                 transition()

@@ -7,26 +7,45 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from squeal_rig.errors import ExperimentError
+from squeal_rig.graph import signals
 
 _STOP_TIMEOUT = 5.0
+_START = Path(__file__).parents[1] / "nodes" / "start.py"
+
+
+def node_command(name: str, ros_arguments: Sequence[object], session: bool = False) -> list[str]:
+    """What starts a node; one of a session ends when its standard input does."""
+    options = ["--session"] if session else []
+    return [sys.executable, str(_START), *options, name, "--ros-args", *map(str, ros_arguments)]
+
+
+@contextmanager
+def signals_held() -> Iterator[None]:
+    """Hold SIGINT and SIGTERM back, here and in what is started meanwhile: a node takes them once it can."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, signals.ENDING)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 class NodeProcess:
-    """One node, started as `python -m squeal_rig.nodes.<name>`; what it prints goes to a log file."""
+    """One node, which ends with this process however that ends; what it prints goes to a log file."""
 
     def __init__(self, name: str, log_directory: Path, ros_arguments: Sequence[str]) -> None:
         self.name = name
         self._log = log_directory / f"{name}.log"
-        command = [sys.executable, "-m", f"squeal_rig.nodes.{name}", "--ros-args", *ros_arguments]
-        with self._log.open("wb") as log:
-            # A session of its own: Ctrl-C in the terminal reaches us alone, and we end the nodes in order.
+        with self._log.open("wb") as log, signals_held():
+            # A session of its own: Ctrl-C in the terminal reaches us alone, and we end the nodes in order. Its stdin
+            # ends when we do, by kill -9 or as the terminal closes: then the node ends too.
             self._process = subprocess.Popen(
-                command,
-                stdin=subprocess.DEVNULL,
+                node_command(name, ros_arguments, session=True),
+                stdin=subprocess.PIPE,
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,

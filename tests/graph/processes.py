@@ -6,9 +6,11 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import nullcontext
 from pathlib import Path
 
 import squeal_rig
+from squeal_rig.session.processes import node_command, signals_held
 
 from . import PATIENCE
 
@@ -20,7 +22,7 @@ _TICK = os.sysconf("SC_CLK_TCK")
 class Child:
     """A child process in a session of its own, since a shell's background children ignore SIGINT."""
 
-    def __init__(self, command, log, domain, cwd=None):
+    def __init__(self, command, log, domain, cwd=None, held=False):
         self._logs = log.with_suffix(".out"), log.with_suffix(".err")
         environment = {
             **os.environ,
@@ -31,7 +33,8 @@ class Child:
             "COLUMNS": "160",
         }
         self.started = time.time_ns()
-        with self._logs[0].open("wb") as output, self._logs[1].open("wb") as errors:
+        hold = signals_held() if held else nullcontext()
+        with self._logs[0].open("wb") as output, self._logs[1].open("wb") as errors, hold:
             self.process = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
@@ -94,14 +97,16 @@ class Processes:
         self.folder = folder
         self._children = []
 
-    def start(self, command, cwd=None):
-        child = Child(list(map(str, command)), self.folder / str(len(self._children)), self.domain, cwd)
+    def start(self, command, cwd=None, held=False):
+        """Start a command; signals sent before it looks after them are kept for it where they are `held`."""
+        log = self.folder / str(len(self._children))
+        child = Child(list(map(str, command)), log, self.domain, cwd, held)
         self._children.append(child)
         return child
 
-    def node(self, executable, *ros_arguments):
+    def node(self, executable, *ros_arguments, cwd=None):
         """Start one node of the package; arguments as after `--ros-args`."""
-        return self.start([sys.executable, "-m", f"squeal_rig.nodes.{executable}", "--ros-args", *ros_arguments])
+        return self.start(node_command(executable, ros_arguments), cwd, held=True)
 
     def command(self, *arguments, cwd=None):
         """Start the command `squeal-rig`."""

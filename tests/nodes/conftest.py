@@ -9,30 +9,11 @@ from squeal_rig.configuration.files import config_directory
 from tests.graph.domains import private_domain
 from tests.graph.processes import Processes
 
-# Compiling the model for the first time takes tens of seconds on a slow machine.
-_COMPILING = 600.0
-
 
 @pytest.fixture(scope="session")
 def config_file():
     """The rig.yaml that ships with the package."""
     return config_directory() / "rig.yaml"
-
-
-@pytest.fixture(scope="session")
-def compiled(tmp_path_factory):
-    """Has the compiled model on disk, so that nodes start as they do from the second time on."""
-    from tests.graph.observer import Observer
-
-    with private_domain() as number:
-        started = Processes(number, tmp_path_factory.mktemp("compile"))
-        node = Observer(number)
-        simulator = started.node("simulator")
-        blocks = node.follow_samples("daq/samples")
-        node.wait_for(lambda: blocks or not simulator.running, "the first block", _COMPILING)
-        assert simulator.running, simulator.errors
-        node.close()
-        started.end_all()
 
 
 #: Operating point, law and slew of a bench at rest; slew so fast that a set point is in force one block later.

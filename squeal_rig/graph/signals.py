@@ -1,0 +1,53 @@
+"""SIGINT and SIGTERM from before the first large import until after the last line of Python.
+
+Nothing but the standard library is imported here: a node looks after its signals first, then imports for half a second.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from types import FrameType
+
+ENDING = (signal.SIGINT, signal.SIGTERM)
+
+_asked = False
+
+
+def watch() -> None:
+    """Take note of SIGINT and SIGTERM from now on, also of those that whoever started us has held back."""
+    for number in ENDING:
+        signal.signal(number, _on_signal)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
+
+
+def asked_to_end() -> bool:
+    """Whether one of them has come."""
+    return _asked
+
+
+def ignore() -> None:
+    """Ignore them until the process has ended.
+
+    Python gives signals with a handler back to the system while it finalises, and the next one would kill; not so
+    those that are ignored.
+    """
+    for number in ENDING:
+        signal.signal(number, signal.SIG_IGN)
+
+
+def end_with_stdin() -> None:
+    """Ask ourselves to end once our standard input ends: with whoever holds its other end, however that one ended."""
+
+    def wait() -> None:
+        while os.read(0, 4096):
+            pass
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    threading.Thread(target=wait, name="end_with_stdin", daemon=True).start()
+
+
+def _on_signal(_number: int, _frame: FrameType | None) -> None:
+    global _asked  # noqa: PLW0603
+    _asked = True  # nothing more, so that a second signal during teardown does no harm
