@@ -17,7 +17,7 @@ from rclpy.qos import (
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from squeal_rig.errors import RecordingError
-from squeal_rig.recording import INFINITE_NS, QosProfile
+from squeal_rig.recording import INFINITE_NS, QosProfile, installed_schema
 
 # History and depth cannot be seen over DDS: taken as KEEP_LAST with this depth, above one second of any of our topics.
 _UNSEEN_DEPTH = 200
@@ -28,10 +28,12 @@ _RECORDING_DEPTH = 1000
 def message_class(type_name: str) -> Any:
     """The Python class of a message type such as `std_msgs/msg/String`.
 
+    The name comes out of a bag or the graph: only a package that installs a definition of the type is imported.
+
     Raises:
-        RecordingError: no such interface package is installed.
+        RecordingError: no such interface package is installed, or this is no name of a message type.
     """
-    package, _, name = type_name.replace("/msg/", "/").partition("/")
+    package, _, name = installed_schema(type_name).type_name.split("/")
     try:
         return getattr(importlib.import_module(f"{package}.msg"), name)
     except (ImportError, AttributeError):
