@@ -1,14 +1,22 @@
 """A bag through a fresh set of estimators: `ros2 launch squeal_rig replay.launch.py bag:=FOLDER`."""
 
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, LogInfo, SetEnvironmentVariable
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, LogInfo, SetEnvironmentVariable, Shutdown
 from launch.conditions import IfCondition
+from launch.events.process import ProcessExited
 from launch.substitutions import EnvironmentVariable, LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
 ESTIMATORS = ("friction_estimator", "stability", "squeal_detector")
+
+
+def _ended(event: ProcessExited, _context: LaunchContext) -> Shutdown:
+    """End the rest with the player. `ros2 launch` itself knows the exit codes 0 and 1 only: 1 where it failed."""
+    if event.returncode != 0:
+        raise RuntimeError(f"{event.process_name} ended with exit code {event.returncode}")
+    return Shutdown(reason="the bag has been played")
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -46,6 +54,6 @@ def generate_launch_description() -> LaunchDescription:
                 condition=IfCondition(LaunchConfiguration("record")),
                 **started,
             ),
-            Node(executable="player", parameters=[parameters, bag], **started),
+            Node(executable="player", parameters=[parameters, bag], on_exit=_ended, **started),
         ]
     )

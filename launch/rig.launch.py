@@ -1,14 +1,22 @@
 """The virtual or real rig with its estimators: `ros2 launch squeal_rig rig.launch.py [record:=true]`."""
 
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, LogInfo, SetEnvironmentVariable
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, LogInfo, SetEnvironmentVariable, Shutdown
 from launch.conditions import IfCondition
+from launch.events.process import ProcessExited
 from launch.substitutions import EnvironmentVariable, LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
 ESTIMATORS = ("friction_estimator", "stability", "squeal_detector")
+
+
+def _ended(event: ProcessExited, _context: LaunchContext) -> Shutdown:
+    """End the rest with the rig. `ros2 launch` itself knows the exit codes 0 and 1 only: 1 where it failed."""
+    if event.returncode != 0:
+        raise RuntimeError(f"{event.process_name} ended with exit code {event.returncode}")
+    return Shutdown(reason="the rig has ended")
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -33,7 +41,7 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("namespace", default_value="", description="moves the whole rig"),
             DeclareLaunchArgument("record", default_value="false", description="write a bag"),
             DeclareLaunchArgument("use_sim_time", default_value="false", description="true: follow the rig's /clock"),
-            Node(executable="rig", parameters=[parameters], **started),
+            Node(executable="rig", parameters=[parameters], on_exit=_ended, **started),
             *(Node(executable=name, parameters=[parameters, clock], **started) for name in ESTIMATORS),
             Node(
                 executable="recorder",
