@@ -20,6 +20,7 @@ from squeal_rig.model.core.law import friction_coefficient
 from squeal_rig.model.linear.eigen import StabilityReport, stability_report
 from squeal_rig.model.parameters import RigParameters
 from squeal_rig.recording import Bag
+from squeal_rig.recording.gaps import samples_missing
 from squeal_rig.samples.blocks import RecordedBlock, recorded_blocks
 
 Values = NDArray[np.float64]
@@ -112,6 +113,7 @@ class Analysis:
     title: str
     sample_rate: int
     lost_samples: int
+    restarts: int
     segments: list[Segment]
     course: Course
     duration: float
@@ -139,20 +141,28 @@ class _Analyser:
 
     def __init__(self, first: RecordedBlock) -> None:
         self._rate = first.rig.sample_rate
-        self._origin = int(first.daq["seq"][0])
         self._friction = FrictionEstimator(first.rig, FrictionSettings())
         self._squeal = SquealDetector(self._rate, SquealSettings())
         self._course = Course()
         self._segments: list[Segment] = []
-        self._samples_end = self._origin
+        self._end = 0  # samples from the first one to the end of the newest block
+        self._next_seq = int(first.daq["seq"][0])
+        # The estimator's sample number `_origin` is number 0 of the course; another one once the rig was started anew.
+        self._origin = self._next_seq
+        self._restarts = 0
 
     def add(self, block: RecordedBlock) -> None:
         """Take the next block."""
         daq, rig = block.daq, block.rig
         self._friction.rig = rig
-        seq = self._samples_end + (int(daq["seq"][0]) - self._samples_end) % 2**32
-        begin, length = (seq - self._origin) / self._rate, len(daq) / self._rate
-        self._samples_end = seq + len(daq)
+        seq = int(daq["seq"][0])
+        missing = samples_missing(self._next_seq, seq)
+        if missing is None:
+            self._restarts += 1
+            self._origin = seq - self._end
+        begin, length = (self._end + (missing or 0)) / self._rate, len(daq) / self._rate
+        self._end += (missing or 0) + len(daq)
+        self._next_seq = seq + len(daq)
         for state in self._squeal.add_samples(block.stamp, daq):
             self._course.levels.append((begin + length, float(state.detected), state.level, state.frequency))
         windows = self._friction.add_samples(block.stamp, daq)[2]
@@ -205,8 +215,9 @@ class _Analyser:
                 segment.stability = stability_report(segment.parameters)
             except ModelError:
                 segment.stability = None  # shown as none: there is nothing to compare with
-        duration = (self._samples_end - self._origin) / self._rate
-        return Analysis(title, self._rate, self._friction.lost_samples, segments, self._course, duration)
+        duration = self._end / self._rate
+        lost = self._friction.lost_samples
+        return Analysis(title, self._rate, lost, self._restarts, segments, self._course, duration)
 
 
 def segment_rows(analysis: Analysis) -> Iterator[dict[str, Any]]:

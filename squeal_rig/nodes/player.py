@@ -23,7 +23,7 @@ from squeal_rig.graph.interfaces import message_class, replayed_qos
 from squeal_rig.graph.lifetime import Lifetime, run_node
 from squeal_rig.graph.parameters import NODE_OPTIONS, DeclaredParameters
 from squeal_rig.recording import Bag, RawMessage
-from squeal_rig.recording.replay import matching_topics, remapped
+from squeal_rig.recording.replay import Beat, matching_topics, remapped
 from squeal_rig.recording.settings import PlayerSettings
 from squeal_rig.recording.transport import Transport
 
@@ -56,12 +56,13 @@ class PlayerNode(Node):
         if settings.start_paused:
             self._transport.pause()
         self._clock_publisher = self.create_publisher(Clock, _CLOCK, qos.BLOCKS) if settings.clock else None
-        self._clock_published = -1.0
+        self._clock_beat = Beat(_CLOCK_PERIOD)
         self._ending = threading.Event()
         self.add_post_set_parameters_callback(self._apply)
         for name, action in (("pause", self._pause), ("resume", self._resume), ("step", self._step)):
             self.create_service(Trigger, f"~/{name}", self._serves(action))
         HealthPublisher(self, self._health)
+        self.greeting = f"{'paused in' if settings.start_paused else 'playing'} {settings.bag}"
         self._thread = threading.Thread(target=self._play, name="player")
         self._thread.start()
 
@@ -144,11 +145,10 @@ class PlayerNode(Node):
     def _publish(self, message: RawMessage) -> None:
         self._outputs[message.topic].publish(message.data)
 
-    def _tick(self, log_time: int) -> None:
-        now = time.monotonic()
-        if self._clock_publisher is not None and now - self._clock_published >= _CLOCK_PERIOD:
-            self._clock_published = now
+    def _tick(self, log_time: int) -> float:
+        if self._clock_beat.due(time.monotonic()) and self._clock_publisher is not None:
             self._clock_publisher.publish(Clock(clock=time_message(log_time)))
+        return self._clock_beat.left(time.monotonic())
 
     # --- parameters and services
 

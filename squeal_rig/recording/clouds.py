@@ -22,6 +22,7 @@ from .cdr import CDR_HEADER, CdrWriter
 _CODES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 _NUMBERS = {code: number for number, code in _CODES.items()}
 _HEADER = 4
+MAX_FIELDS = 1024  # the widest of ours has 12; ten thousands would keep a node busy for seconds
 MAX_POINT_STEP = 1 << 16  # [bytes]; a larger one is damage, and numpy's own limit is not far above
 _MAX_LAYOUTS = 64
 
@@ -168,8 +169,10 @@ def _parse_layout(data: bytes, little: bool) -> _Layout:
     cursor = _Cursor(data, 12, little)
     frame_id = cursor.text()
     height, width, count = cursor.uint32(), cursor.uint32(), cursor.uint32()
+    if count > MAX_FIELDS:
+        raise RecordingError(f"A PointCloud2 has {count} fields; at most {MAX_FIELDS} are read.")
     fields = []
-    for _ in range(count):  # bounded: the cursor refuses to run past the end
+    for _ in range(count):
         name, offset = cursor.text(), cursor.uint32()
         fields.append((name, offset, cursor.uint8(), cursor.uint32()))
     big = cursor.uint8()

@@ -14,6 +14,15 @@ CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
 _SEQ_MODULUS = 2**32
 
 
+def samples_missing(expected: int, seq: int) -> int | None:
+    """Samples missing before number `seq`; None where the numbers begin anew: a rig started again, or a replay.
+
+    Numbers wrap at 2^32, so what lies less than half of that ahead is taken for ahead.
+    """
+    ahead = (seq - expected) % _SEQ_MODULUS
+    return ahead if ahead < _SEQ_MODULUS // 2 else None
+
+
 @dataclass
 class SampleCount:
     """What was seen of one topic of samples.

@@ -62,6 +62,27 @@ def last_before(bag: Bag, topics: Collection[str], time: int) -> list[RawMessage
     return sorted(last.values(), key=lambda message: message.log_time)
 
 
+class Beat:
+    """When something is due that comes every `period` [s] of the steady clock: on a grid, however late it was asked."""
+
+    def __init__(self, period: float) -> None:
+        self._period = period
+        self._next: float | None = None
+
+    def due(self, now: float) -> bool:
+        """Whether it is due now [s], and taken as done; what was missed altogether is left out."""
+        if self._next is None:
+            self._next = now
+        if now < self._next:
+            return False
+        self._next += (math.floor((now - self._next) / self._period) + 1) * self._period
+        return True
+
+    def left(self, now: float) -> float:
+        """Time until it is due [s], 0 where it is."""
+        return max(0.0, self._next - now) if self._next is not None else 0.0
+
+
 class ReplayClock:
     """Recorded time as a function of the steady clock: runs, pauses, jumps, changes its rate.
 

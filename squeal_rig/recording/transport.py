@@ -13,7 +13,6 @@ from .replay import ReplayClock, is_latched, last_before
 
 # The last stretch before a message is due is spun: a sleeping thread wakes up to some 0.1 ms late.
 _SPIN = 0.0003
-_TICK = 0.01  # longest sleep while waiting [s]: the period of /clock
 
 
 class Transport:
@@ -111,10 +110,11 @@ class Transport:
 
     # --- playing
 
-    def run(self, publish: Callable[[RawMessage], None], tick: Callable[[int], None]) -> None:
-        """Call `publish` with every message when it is due, and `tick` with the recorded time, every 10 ms or oftener.
+    def run(self, publish: Callable[[RawMessage], None], tick: Callable[[int], float]) -> None:
+        """Call `publish` with every message when it is due, and `tick` with the recorded time before it.
 
-        Returns at the end of the bag, or once stopped. Raises RecordingError when the bag is damaged.
+        `tick` returns after how long [s] it wants to be called again at the latest. This returns at the end of the bag,
+        or once stopped. Raises RecordingError when the bag is damaged.
         """
         position = self._start
         while not self._stopping:
@@ -126,7 +126,7 @@ class Transport:
             position = self._start if target is None else target
 
     def _play_from(
-        self, position: int, publish: Callable[[RawMessage], None], tick: Callable[[int], None]
+        self, position: int, publish: Callable[[RawMessage], None], tick: Callable[[int], float]
     ) -> int | None:
         """Play until the end (None) or until somebody seeks (the new position)."""
         earlier = last_before(self._bag, self._latched, position) if position > self._bag.start_time else []
@@ -144,9 +144,10 @@ class Transport:
             target, self._target = self._target, None
         return target
 
-    def _wait(self, message: RawMessage, tick: Callable[[int], None]) -> bool:
+    def _wait(self, message: RawMessage, tick: Callable[[int], float]) -> bool:
         """Wait until a message is due; False when it is not to be played, since somebody stops or seeks."""
         while True:
+            until_tick = tick(min(self.now(), message.log_time))
             with self._changed:
                 if self._stopping or self._target is not None:
                     return False
@@ -157,9 +158,8 @@ class Transport:
                     return True
                 left = self._clock.due(message.log_time) - now
                 if left > _SPIN:
-                    self._changed.wait(min(left - _SPIN, _TICK))
+                    self._changed.wait(min(left - _SPIN, until_tick))
             if left > _SPIN:
-                tick(min(self.now(), message.log_time))
                 continue
             due = now + left
             while time.monotonic() < due:

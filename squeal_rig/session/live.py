@@ -25,6 +25,7 @@ from squeal_rig.graph.conversions import status_number, status_values
 from squeal_rig.graph.lifetime import GuardedExecutor
 from squeal_rig.graph.names import Claim, is_running
 from squeal_rig.instruments.channels import DAQ_CHANNELS, FRICTION_WINDOW_CHANNELS, block_from_cdr
+from squeal_rig.recording.gaps import samples_missing
 
 # Discovery of a service took up to 2.3 s where it was measured.
 _SERVICE_TIMEOUT = 10.0
@@ -72,7 +73,7 @@ class LiveGraph:
         self._watched = watched
         self._samples = 0
         self._interval = math.nan
-        self._last_seq: int | None = None
+        self._next_seq: int | None = None
         self.state = LiveState()
         self.windows: list[Any] = []
         self.on_spin: Callable[[], None] = lambda: None
@@ -179,9 +180,10 @@ class LiveGraph:
             daq = block_from_cdr(data, DAQ_CHANNELS).samples
         except RecordingError:
             return  # the estimator counts and reports refused blocks
-        last = int(daq["seq"][-1])
-        self._samples += len(daq) if self._last_seq is None else (last - self._last_seq) % 2**32
-        self._last_seq = last
+        first = int(daq["seq"][0])
+        missing = 0 if self._next_seq is None else samples_missing(self._next_seq, first)
+        self._samples += len(daq) + (missing or 0)
+        self._next_seq = first + len(daq)
         if len(daq) > 1:
             self._interval = float(daq["t"][1] - daq["t"][0])
         self.state.sampled_time = self.sampled_time()

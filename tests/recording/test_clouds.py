@@ -179,3 +179,13 @@ def test_reading_a_block_of_512_samples_takes_less_than_30_us():
             samples_from_cdr(message)
         best = min(best, (time.perf_counter() - start) / len(messages))
     assert best < 30e-6
+
+
+def test_a_message_of_absurdly_many_fields_is_refused_by_their_number():
+    from struct import pack
+
+    fields = b"".join(pack("<I8sIBxxxI", 8, b"f%06d\0" % number, 8 * number, 8, 1) for number in range(60_000))
+    data = b"\0\1\0\0" + bytes(8) + pack("<I4sIII", 4, b"rig\0", 1, 0, 60_000) + fields
+    data += pack("<BxxxIII", 0, 1 << 16, 0, 0) + b"\1"
+    with pytest.raises(RecordingError, match="60000 fields; at most 1024"):
+        samples_from_cdr(data)

@@ -87,3 +87,28 @@ def test_importing_the_report_loads_no_matplotlib():
 
     code = "import sys, squeal_rig.report.run_figure, squeal_rig.cli; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_a_rig_that_was_started_again_is_no_gap_of_2_to_the_32(tmp_path: Path):
+    path = tmp_path / "bag"
+    with BagWriter(path) as writer:
+        description = writer.add_topic("/rig/description", STRING.type_name, schema=STRING)
+        daq = writer.add_topic("/daq/samples", CLOUD.type_name, schema=CLOUD)
+        writer.write(description, string_cdr(RigDescription(PARAMETERS).to_yaml()), 10**18, 10**18)
+        for run, blocks in enumerate((90, 60)):
+            rig = Acquisition(VirtualRig(), PARAMETERS, RigSettings())
+            rig.start(10**18 + run * 5 * 10**9)
+            for _ in range(blocks):
+                block = rig.next_block()
+                writer.write(daq, cdr_from_samples(block.daq, block.stamp), block.stamp, block.stamp)
+    analysis = analyse_bag(path)
+    assert (analysis.restarts, analysis.lost_samples) == (1, 0)
+    assert analysis.duration == pytest.approx(1.5)
+    times = analysis.course.block_column("t")
+    np.testing.assert_allclose(np.diff(times), 0.01, rtol=1e-9)
+    # Windows of both parts lie where their blocks do: whole ones of 0.2 s, none across the joint.
+    starts = analysis.course.window_column("t_start")
+    assert len(starts) >= 5
+    assert np.all(np.diff(starts) > 0.19)
+    assert starts[-1] > 0.9
+    assert np.max(analysis.course.window_column("t_end")) <= 1.5 + 1e-9
