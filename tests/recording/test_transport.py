@@ -9,7 +9,7 @@ from bag_making import START, write_bag
 
 from squeal_rig.errors import ParameterError, RecordingError
 from squeal_rig.recording import Bag
-from squeal_rig.recording.replay import ReplayClock, remapped
+from squeal_rig.recording.replay import Beat, ReplayClock, remapped
 from squeal_rig.recording.settings import PlayerSettings
 from squeal_rig.recording.transport import Transport
 
@@ -29,12 +29,16 @@ class Player:
                 setattr(self.transport, name, value)
         self.played, self.ticks = [], []
         self._grew = threading.Condition()
-        self.thread = threading.Thread(target=self.transport.run, args=(self._publish, self.ticks.append))
+        self.thread = threading.Thread(target=self.transport.run, args=(self._publish, self._tick))
 
     def _publish(self, message):
         with self._grew:
             self.played.append((message, time.monotonic()))
             self._grew.notify_all()
+
+    def _tick(self, log_time):
+        self.ticks.append(log_time)
+        return 0.01
 
     def wait(self, count):
         with self._grew:
@@ -204,3 +208,16 @@ def test_a_rule_that_means_nothing_is_refused(rule):
 def test_a_rate_out_of_bounds_is_refused(rate):
     with pytest.raises(ParameterError, match="rate"):
         PlayerSettings(rate=rate)
+
+
+def test_a_beat_keeps_its_period_though_it_is_always_asked_a_little_early_or_late():
+    beat = Beat(0.01)
+    # Asked every 9.9 ms, as by messages that come about as often as the beat: a second holds a hundred.
+    asked = [5.0 + 0.0099 * number for number in range(102)]
+    times = [now for now in asked if beat.due(now)]
+    assert 98 <= len(times) <= 101
+    # Held up for 35 ms: once, and on the grid again.
+    assert beat.due(7.035)
+    assert not beat.due(7.0399)
+    assert beat.left(7.0399) == pytest.approx(1e-4)
+    assert beat.due(7.0401)
