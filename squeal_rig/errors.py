@@ -1,8 +1,24 @@
 """Errors of squeal_rig. Each message is one sentence: what, the value, the bound, the unit."""
 
+_LONGEST = 1000
+
+
+def printable(text: str, keep: str = "") -> str:
+    """Return a text with every character that could steer a terminal written as its escape, but those in `keep`."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c in keep else c.encode("unicode_escape").decode() for c in text)
+
 
 class SquealRigError(Exception):
-    """Base of every error that a user can cause; the command line prints its message and exits with code 2."""
+    """Base of every error that a user can cause; the command line prints its message and exits with code 2.
+
+    A message may name what stands in a file or came over the network: it is printable, and cut where it is long.
+    """
+
+    def __str__(self) -> str:
+        text = printable(super().__str__()[: _LONGEST + 1])
+        return text if len(text) <= _LONGEST else text[:_LONGEST] + "..."
 
 
 class ParameterError(SquealRigError):

@@ -14,6 +14,7 @@ from squeal_rig.instruments.settings import PresetChoice, RigSettings
 from squeal_rig.model.parameters import RigParameters
 
 _TARE = "tare_"
+_MAX_TEXT = 1 << 14  # ours has an eighth of it, and it is read while blocks arrive
 _TRUTH = Declaration(True, "whether truth/samples are published", name="publishes_truth")
 
 
@@ -55,7 +56,7 @@ class RigDescription:
         Raises:
             ConfigurationError: a key is missing, unknown or has a value of the wrong kind.
         """
-        content = parse_yaml(text, "rig/description")
+        content = parse_yaml(text, "rig/description", _MAX_TEXT)
         if not isinstance(content, dict) or not all(isinstance(key, str) for key in content):
             raise ConfigurationError("rig/description: expected a mapping of names to values")
         values: dict[str, Any] = dict(content)

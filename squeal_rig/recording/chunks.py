@@ -24,6 +24,7 @@ from .records import (
     INDEX,
     INDEX_ENTRY,
     MAX_CHUNK_BYTES,
+    MAX_CHUNK_MESSAGES,
     MESSAGE,
     MESSAGE_RECORD,
     BrokenRecordError,
@@ -177,8 +178,10 @@ def unpack_chunk(body: bytes) -> bytes:
     Raises BrokenRecordError when the chunk is damaged: wrong sizes, undecodable data, a CRC that does not fit.
     """
     head = read_chunk_head(body)
-    if head.end > len(body) or head.raw_size > MAX_CHUNK_BYTES:
+    if head.end > len(body):
         raise BrokenRecordError("the chunk's sizes do not fit")
+    if head.raw_size > MAX_CHUNK_BYTES:
+        raise BrokenRecordError(f"the chunk has {head.raw_size} bytes uncompressed; at most {MAX_CHUNK_BYTES} are read")
     try:
         raw = _decompress(head.compression, body[head.start : head.end], head.raw_size)
     except (ArithmeticError, ValueError, RuntimeError, MemoryError, zstandard.ZstdError) as error:
@@ -189,25 +192,33 @@ def unpack_chunk(body: bytes) -> bytes:
 
 
 def _decompress(name: bytes, packed: bytes, raw_size: int) -> bytes:
+    """Return what is packed, of which no more is made than a byte above the size that the chunk claims."""
     if name == b"":
         return packed
     if name == b"zstd":
+        told = zstandard.get_frame_parameters(packed).content_size
+        if told not in (raw_size, zstandard.CONTENTSIZE_UNKNOWN):  # a frame that tells its size is allotted it unasked
+            raise BrokenRecordError(f"the chunk's data tell {told} bytes where its head tells {raw_size}")
         return zstandard.ZstdDecompressor().decompress(packed, max_output_size=raw_size)
     if name == b"lz4":
         try:
             import lz4.frame  # only foreign bags use it
         except ImportError:
             raise BrokenRecordError("the chunk is compressed with lz4: install the Python package lz4") from None
-        return bytes(lz4.frame.decompress(packed))
+        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=raw_size + 1))
     raise BrokenRecordError(f"the chunk is compressed with {name!r}, which is not known")
 
 
 def iter_messages(raw: bytes, wanted: Container[int] | None = None) -> Iterator[ChunkMessage]:
     """Yield the messages of the uncompressed records, only of the wanted channel ids where given."""
+    left = MAX_CHUNK_MESSAGES
     for opcode, start, end in iter_records(raw):
         if opcode == Opcode.MESSAGE:
             if end - start < MESSAGE.size:
                 raise BrokenRecordError("a message record is cut short")
+            left -= 1
+            if left < 0:
+                raise BrokenRecordError(f"the chunk has more than {MAX_CHUNK_MESSAGES} messages")
             channel_id, sequence, log_time, publish_time = MESSAGE.unpack_from(raw, start)
             if wanted is None or channel_id in wanted:
                 yield ChunkMessage(channel_id, sequence, log_time, publish_time, raw[start + MESSAGE.size : end])

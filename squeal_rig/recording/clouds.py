@@ -187,8 +187,10 @@ def _parse_layout(data: bytes, little: bool) -> _Layout:
         raise RecordingError(f"A PointCloud2 has row_step {row_step} bytes, less than {width} points of {point_step}.")
     else:
         needed = (height - 1) * row_step + width * point_step
-    if size < needed or cursor.at + size > len(data):
-        raise RecordingError(f"A PointCloud2 holds {size} bytes of points where {needed} are needed.")
+    if size < needed:
+        raise RecordingError(f"A PointCloud2 tells {size} bytes of points where {needed} are needed.")
+    if size > len(data) - cursor.at:
+        raise RecordingError(f"A PointCloud2 tells {size} bytes of points and has {len(data) - cursor.at}.")
     layout = _Layout(frame_id, _dtype(fields, point_step, bool(big)), height, width, row_step, cursor.at, size)
     _remember(data, little, layout)
     return layout

@@ -20,6 +20,7 @@ from .records import (
     ENDING,
     HEAD,
     MAGIC,
+    MAX_CHANNELS,
     BrokenRecordError,
     FileBytes,
     iter_records,
@@ -73,9 +74,12 @@ def index_file(path: Path) -> FileIndex:
     """Return the index of a closed file; RecordingError when it is not closed, damaged or no MCAP file."""
     try:
         with FileBytes(path) as data:
-            return _index(data)
+            index = _index(data)
     except BrokenRecordError as error:
         raise RecordingError(f"{path} is damaged: {error}.") from None
+    if len(index.channels) > MAX_CHANNELS:
+        raise RecordingError(f"{path} has {len(index.channels)} topics; at most {MAX_CHANNELS} are read.")
+    return index
 
 
 def read_block(data: FileBytes, block: Block, wanted: frozenset[int] | None) -> list[ChunkMessage]:
@@ -129,10 +133,10 @@ def _read_header(data: FileBytes) -> Header:
     return header
 
 
-def _take_summary(index: FileIndex, data: FileBytes, start: int, end: int) -> Statistics | None:
+def _take_summary(index: FileIndex, data: FileBytes, first: int, last: int) -> Statistics | None:
     """Fill the index from the summary; return its statistics, None where there are none."""
     statistics: Statistics | None = None
-    for record in read_records(data, _SUMMARY, start, end):
+    for record in read_records(data, _SUMMARY, first, last):
         if isinstance(record, Schema):
             index.schemas[record.id] = record
         elif isinstance(record, Channel):
@@ -142,7 +146,10 @@ def _take_summary(index: FileIndex, data: FileBytes, start: int, end: int) -> St
         elif isinstance(record, ChunkIndex):
             index.blocks.append(_block(record, len(data)))
         elif isinstance(record, MetadataIndex):
-            _take_metadata(index, data[record.offset + HEAD.size : record.offset + record.length])
+            opcode, start, end = next(iter_records(data, record.offset), (0, 0, 0))
+            if opcode != Opcode.METADATA or end != record.offset + record.length:
+                raise BrokenRecordError(f"its index names a metadata record at byte {record.offset} that is not there")
+            _take_metadata(index, data[start:end])
     index.blocks.sort(key=lambda block: block.offset)
     for block, following in pairwise(index.blocks):
         if following.offset < block.offset + block.length:  # its messages would be read twice

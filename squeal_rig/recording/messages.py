@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 from mcap.records import Schema
@@ -14,6 +15,7 @@ from .schemas import MessageSchema
 Decode = Callable[[bytes], Any]
 
 
+@lru_cache(maxsize=64)
 def decoder_of(schema: MessageSchema) -> Decode:
     """Return a function from CDR bytes to an object with the message's fields as attributes.
 
@@ -28,6 +30,7 @@ def decoder_of(schema: MessageSchema) -> Decode:
         ) from None
     record = Schema(id=1, data=schema.text.encode(), encoding=schema.encoding, name=schema.type_name)
     try:
+        schema.check_decodable()
         decode = DecoderFactory().decoder_for("cdr", record)
     except Exception as error:  # its parser raises many kinds
         raise RecordingError(f"The definition of {schema.type_name} cannot be read ({error}).") from None

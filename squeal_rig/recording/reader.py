@@ -22,6 +22,8 @@ from .records import FileBytes
 from .schemas import MessageSchema
 from .sealed import PROVENANCE, unsealed
 
+_MAX_WAITING = 1 << 30
+
 
 class RawMessage(NamedTuple):
     """One recorded message: CDR bytes; received and sent at log_time and publish_time [ns]."""
@@ -120,9 +122,11 @@ class Bag:
         heapq.heapify(heap)
         with ExitStack() as stack:
             files: dict[int, FileBytes] = {}
+            waiting = 0  # bytes of the messages in the heap
             while heap:
                 _, number, offset, _, item = heapq.heappop(heap)
                 if isinstance(item, ChunkMessage):
+                    waiting -= len(item.data)
                     topic = names[number][item.channel_id]
                     yield RawMessage(topic, item.data, item.log_time, item.publish_time, item.sequence)
                     continue
@@ -131,7 +135,13 @@ class Bag:
                 found = read_block(files[number], item, wanted[number])
                 for place, message in enumerate(found):
                     if start <= message.log_time < end:
+                        waiting += len(message.data)
                         heapq.heappush(heap, (message.log_time, number, offset, place, message))
+                if waiting > _MAX_WAITING:
+                    raise RecordingError(
+                        f"{self.path}: the times of its chunks overlap so far that more than {_MAX_WAITING} bytes of"
+                        " messages would have to be sorted in memory."
+                    )
 
 
 def find_files(path: Path) -> tuple[Path, ...]:

@@ -17,10 +17,15 @@ from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.records import Channel, Footer, McapRecord, Schema
 
+from squeal_rig.configuration.files import only_regular, reason_of
 from squeal_rig.errors import RecordingError
 
 MAGIC = b"\x89MCAP0\r\n"
-MAX_CHUNK_BYTES = 2**31  # a larger size in a chunk header is damage, not data
+# Bounds on what is read at once: far above what recorders write, far below what ends a process.
+MAX_CHUNK_BYTES = 1 << 28  # uncompressed
+MAX_CHUNK_MESSAGES = 1 << 20
+MAX_CHANNELS = 4096
+_MAX_READ = MAX_CHUNK_BYTES + (1 << 20)
 
 HEAD = Struct("<BQ")  # of every record: opcode, length of what follows
 MESSAGE = Struct("<HIQQ")  # channel, sequence, log time, publish time; then the payload
@@ -66,9 +71,9 @@ class FileBytes:
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            self._stream = open(path, "rb")
+            self._stream = open(path, "rb", opener=only_regular)
             self._size = self._stream.seek(0, io.SEEK_END)
-        except OSError as error:
+        except (OSError, ValueError) as error:
             raise self._refused(error) from None
 
     def __len__(self) -> int:
@@ -76,6 +81,10 @@ class FileBytes:
 
     def __getitem__(self, place: slice) -> bytes:
         start, end, _ = place.indices(self._size)
+        if end - start > _MAX_READ:
+            raise BrokenRecordError(
+                f"{end - start} bytes from byte {start} on are one record; at most {_MAX_READ} are read"
+            )
         try:
             self._stream.seek(start)
             return self._stream.read(max(end - start, 0))
@@ -95,8 +104,8 @@ class FileBytes:
             crc = zlib.crc32(self[at : min(at + _PIECE, end)], crc)
         return crc
 
-    def _refused(self, error: OSError) -> RecordingError:
-        return RecordingError(f"Cannot read {self.path}: {error.strerror}.")
+    def _refused(self, error: OSError | ValueError) -> RecordingError:
+        return RecordingError(f"Cannot read {self.path}: {reason_of(error)}.")
 
 
 Bytes = bytes | FileBytes

@@ -25,6 +25,7 @@ _PRIMITIVES = frozenset(
 _SEPARATOR = "=" * 80
 _SEPARATORS = re.compile(r"^=+\n", re.MULTILINE)
 _FIELD_PARTS = re.compile(r"^(?:\w+/)+|\s*(=)\s*")
+_MAX_TEXT, _MAX_FIELDS = 1 << 18, 4000  # of a definition that is parsed
 _MAX_DEPTH = 50  # rosbag2's own limit (local_message_definition_source.hpp)
 
 
@@ -49,6 +50,32 @@ class MessageSchema:
             return None
         theirs = _fields_by_type(other)
         return next((n for n, fields in _fields_by_type(self).items() if theirs.get(n, fields) != fields), None)
+
+    def check_decodable(self) -> None:
+        """Raise RecordingError where a definition is too long, or of a kind that lets a few bytes fill the memory."""
+        if len(self.text) > _MAX_TEXT:
+            raise RecordingError(f"its definition has {len(self.text)} characters; at most {_MAX_TEXT} are read")
+        types = {
+            name.rpartition("/")[2]: [f.split(" ") for f in fields] for name, fields in _fields_by_type(self).items()
+        }
+        count = sum(map(len, types.values()))
+        if count > _MAX_FIELDS:
+            raise RecordingError(f"its definition has {count} fields; at most {_MAX_FIELDS} are read")
+        sized = set(_PRIMITIVES)  # types of which a value takes a byte of the message at least
+        while grown := {name for name in types.keys() - sized if any(_is_sized(f, sized) for f in types[name])}:
+            sized |= grown
+        for field in (field for fields in types.values() for field in fields):
+            if "[" in field[0] and _type_of(field) not in sized:
+                raise RecordingError(f"its definition has an array of {_type_of(field)}, which has no fields")
+
+
+def _is_sized(field: list[str], sized: set[str]) -> bool:
+    """Whether a field takes a byte at least: a constant and an empty array take none."""
+    return _type_of(field) in sized and "[0]" not in field[0] and "=" not in "".join(field[1:2])
+
+
+def _type_of(field: list[str]) -> str:
+    return re.split(r"\[|<=", field[0], maxsplit=1)[0]
 
 
 @lru_cache(maxsize=256)

@@ -12,6 +12,7 @@ from .chunks import ChunkMessage, iter_messages, read_chunk_head, unpack_chunk
 from .mcap_index import FileIndex
 from .records import (
     DEFINITIONS,
+    ENDING,
     HEAD,
     INDEX,
     INDEX_ENTRY,
@@ -146,6 +147,9 @@ class FileChecker:
     def _read_summary(self, data: FileBytes) -> None:
         footer = read_footer(data)
         if footer is not None and footer.summary_start:
+            offsets = footer.summary_offset_start
+            if offsets and not footer.summary_start <= offsets <= len(data) - ENDING:
+                self._fault("the footer points outside the summary")
             for record in read_records(data, {Opcode.CHUNK_INDEX}, footer.summary_start, len(data) - len(MAGIC)):
                 assert isinstance(record, ChunkIndex)
                 self._chunk_indexes[record.chunk_start_offset] = record

@@ -22,6 +22,7 @@ from .bag_metadata import BagMetadata, FileEntry, TopicEntry, metadata_yaml, wri
 from .chunks import ChunkBuilder, ChunkMessage
 from .mcap_file import McapFile
 from .qos_yaml import QosProfile, qos_to_yaml
+from .records import MAX_CHANNELS, MAX_CHUNK_BYTES
 from .schemas import MessageSchema, full_type_name, installed_schema
 from .sealed import PROVENANCE, sealed
 
@@ -29,7 +30,7 @@ MAX_TIME = 2**63 - 1  # rosbag2 keeps times as int64 [ns]
 _OURS = "squeal_rig"
 LIBRARY = f"{_OURS} {__version__}"
 _BROKEN_OFF = ("stopped", "aborted")  # how endings begin that are no completion
-_MAX_CHANNELS = 2**16 - 1
+_MAX_MESSAGE = MAX_CHUNK_BYTES // 2
 _SEQUENCE_MASK = 2**32 - 1
 
 
@@ -85,7 +86,7 @@ class BagWriter:
         if reserve_bytes < 0:
             raise RecordingError(f"reserve_bytes is {reserve_bytes}; it must not be below 0 bytes.")
         self.directory = Path(directory).absolute()
-        self._chunk_size = min(chunk_size, max_file_size or chunk_size)
+        self._chunk_size = min(chunk_size, max_file_size or chunk_size, _MAX_MESSAGE)
         self._flush_interval = flush_interval
         self._max_file_size = max_file_size
         self._max_file_duration_ns = None if max_file_duration is None else round(max_file_duration * 1e9)
@@ -137,8 +138,8 @@ class BagWriter:
                 if changed is not None:
                     raise RecordingError(f"Topic {topic}: {changed} has other fields than when the topic was declared.")
                 return known
-            if len(self._handles) >= _MAX_CHANNELS:
-                raise RecordingError(f"A bag holds at most {_MAX_CHANNELS} topics.")
+            if len(self._handles) >= MAX_CHANNELS:
+                raise RecordingError(f"A bag holds at most {MAX_CHANNELS} topics.")
             definition = installed_schema(type_name) if schema is None else schema
             handle = self._new_handle(topic, definition, tuple(offered_qos))
             self._file.define(handle.schema, handle.channel)
@@ -157,6 +158,8 @@ class BagWriter:
                 f"A message on {handle.topic} has log time {log_time} ns and publish time {publish_time} ns;"
                 f" both must lie in 0..{MAX_TIME} ns."
             )
+        if len(data) > _MAX_MESSAGE:
+            raise RecordingError(f"A message on {handle.topic} has {len(data)} bytes; the bound is {_MAX_MESSAGE}.")
         with self._lock:
             self._check_open()
             self._split_if_due(log_time)
