@@ -62,12 +62,14 @@ def run_class(kind, seed, seconds, corpus, findings):
     module = importlib.import_module(f"tests.fuzz.{kind}")
     module.make_corpus(corpus)
     child = getattr(module, "Tester", BoundedChild)(kind, corpus)
+    child.start()
+    size = getattr(module, "count", lambda _: 1)
     count, deadline = 0, time.monotonic() + seconds
 
     def examine(case):
         nonlocal count
         if time.monotonic() < deadline:
-            count += 1
+            count += size(case)
             for text in child.examine(case):
                 findings.add(kind, case, text)
 
@@ -85,7 +87,8 @@ def run_class(kind, seed, seconds, corpus, findings):
             seeded(seed + batch)(settings(max_examples=_BATCH, phases=[Phase.generate], **limits)(run))()
             batch += 1
     finally:
-        child.close()
+        for text in child.close():
+            findings.add(kind, Case({}), text)
     return count
 
 

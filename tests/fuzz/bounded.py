@@ -73,7 +73,7 @@ class BoundedChild:
     def examine(self, case):
         """The findings of one case, each a text whose first line says what it is."""
         if self._child is None:
-            self._start()
+            self.start()
         self._connection.send(case)
         step, found = "the beginning", []
         while True:
@@ -92,13 +92,16 @@ class BoundedChild:
             step = value
 
     def close(self):
+        """End the child; nothing is found in that."""
         if self._child is not None:
             self._child.kill()
             self._child.join()
             self._connection.close()
             self._child = None
+        return []
 
-    def _start(self):
+    def start(self):
+        """Start the child, and wait until it is ready."""
         context = multiprocessing.get_context("spawn")
         self._connection, other = context.Pipe()
         self._child = context.Process(target=_serve, args=(other, self._kind, str(self._corpus)), daemon=True)
