@@ -45,7 +45,7 @@ class Findings:
         facts = "".join(f"{key}: {value}\n" for key, value in case.facts.items())
         (folder / "facts.txt").write_text(facts, encoding="utf-8")
         (folder / "finding.txt").write_text(text, encoding="utf-8", errors="replace")
-        print(f"  FOUND {name}\n        {folder}", flush=True)
+        _tell(f"  FOUND {name}\n        {folder}")
 
 
 def signature(text):
@@ -108,6 +108,11 @@ def try_again(folder):
             child.close()
 
 
+def _tell(text):
+    sys.stdout.write(f"{text}\n")
+    sys.stdout.flush()
+
+
 def main():
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz")
     parser.add_argument("--minutes", type=float, default=2.0, help="time in all, without what is made first")
@@ -117,12 +122,12 @@ def main():
     options = parser.parse_args()
     if options.again is not None:
         found = try_again(options.again)
-        print("\n".join(found) or "nothing found")
+        _tell("\n".join(found) or "nothing found")
         return 1 if found else 0
     seed = random.SystemRandom().randrange(2**32) if options.seed is None else options.seed
     chosen = options.only.split(",")
     whole = sum(SHARES[kind] for kind in chosen)
-    print(f"seed {seed}, {options.minutes:g} minutes", flush=True)
+    _tell(f"seed {seed}, {options.minutes:g} minutes")
     findings, tried = Findings(), {}
     with tempfile.TemporaryDirectory(prefix="squeal_rig_fuzz_") as folder:
         for kind in chosen:
@@ -130,11 +135,11 @@ def main():
             corpus.mkdir()
             begin = time.monotonic()
             tried[kind] = run_class(kind, seed, 60.0 * options.minutes * SHARES[kind] / whole, corpus, findings)
-            print(f"{kind}: {tried[kind]} inputs tried in {time.monotonic() - begin:.0f} s", flush=True)
-    print(f"inputs: {', '.join(f'{kind} {count}' for kind, count in tried.items())}; seed {seed}")
+            _tell(f"{kind}: {tried[kind]} inputs tried in {time.monotonic() - begin:.0f} s")
+    _tell(f"inputs: {', '.join(f'{kind} {count}' for kind, count in tried.items())}; seed {seed}")
     for (kind, name), count in sorted(findings.counts.items()):
-        print(f"FOUND {count} times, {kind}: {name}")
-    print(f"{len(findings.counts)} findings" + (f", inputs in {FINDINGS}/" if findings.counts else ""))
+        _tell(f"FOUND {count} times, {kind}: {name}")
+    _tell(f"{len(findings.counts)} findings" + (f", inputs in {FINDINGS}/" if findings.counts else ""))
     return 1 if findings.counts else 0
 
 

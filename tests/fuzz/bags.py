@@ -77,7 +77,9 @@ def _write_rig(folder, **options):
             for name, samples in (("daq/samples", block.daq), ("truth/samples", block.truth)):
                 writer.write(handles[name], cdr_from_samples(samples, block.stamp), block.stamp, block.stamp)
         writer.add_metadata("parameters", {"node": "/rig", "time_ns": str(START), "values": "preload: 300.0\n"})
-        writer.add_metadata("parameters", {"node": "/friction_estimator", "time_ns": str(START), "values": "window: 0.1\n"})
+        writer.add_metadata(
+            "parameters", {"node": "/friction_estimator", "time_ns": str(START), "values": "window: 0.1\n"}
+        )
     acquisition.close()
 
 
@@ -139,7 +141,9 @@ def damaged(draw, data):
     out = bytearray(data)
     for _ in range(draw(st.integers(1, 3))):
         how = draw(st.sampled_from(("flip", "flip", "number", "cut", "drop", "double", "zero", "insert", "swap")))
-        where = st.one_of(st.integers(0, max(len(out) - 1, 0)), st.integers(max(len(out) - 3000, 0), max(len(out) - 1, 0)))
+        where = st.one_of(
+            st.integers(0, max(len(out) - 1, 0)), st.integers(max(len(out) - 3000, 0), max(len(out) - 1, 0))
+        )
         at, size = draw(where), draw(st.sampled_from((1, 8, 100, 4096)))
         if how == "flip" and out:
             out[at] ^= 1 << draw(st.integers(0, 7))
@@ -168,14 +172,23 @@ def damaged(draw, data):
 
 
 @dataclasses.dataclass
-class _Record:
+class Record:
+    """One record of a file."""
+
     opcode: int
     body: bytes
     place: int | None = None  # in the file it came from
 
 
 def _records(data, start=0, end=None):
-    return [_Record(opcode, data[first:last], first - HEAD.size) for opcode, first, last in iter_records(data, start, end)]
+    return [
+        Record(opcode, data[first:last], first - HEAD.size) for opcode, first, last in iter_records(data, start, end)
+    ]
+
+
+def records_in(data):
+    """The records of a whole file."""
+    return _records(data, len(MAGIC), len(data) - len(MAGIC))
 
 
 def _joined(records):
@@ -184,7 +197,7 @@ def _joined(records):
 
 @st.composite
 def _changed(draw, records, inner=False):
-    """Records with one of them changed, gone, doubled or moved; those that hold no data are chosen as often as others."""
+    """Records with one of them changed, gone, doubled or moved, of every kind as often."""
     kinds = sorted({record.opcode for record in records})
     kind = draw(st.sampled_from(kinds))
     places = [place for place, record in enumerate(records) if record.opcode == kind]
@@ -219,7 +232,9 @@ def _changed_chunk(draw, record):
     length = struct.unpack_from("<I", record.body, head.size)[0]
     name = record.body[head.size + 4 : head.size + 4 + length]
     packed = record.body[head.size + 12 + length :]
-    raw = packed if not name else zstandard.decompress(packed, size) if name == b"zstd" else lz4.frame.decompress(packed)
+    raw = (
+        packed if not name else zstandard.decompress(packed, size) if name == b"zstd" else lz4.frame.decompress(packed)
+    )
     records = _records(raw)
     for _ in range(draw(st.integers(1, 2))):
         records = draw(_changed(records, inner=True)) if records else records
@@ -232,8 +247,8 @@ def _chunk(raw, name, start, end, crc=True):
     return body + struct.pack("<I", len(name)) + name + struct.pack("<Q", len(packed)) + packed
 
 
-def _rebuilt(records, relocate):
-    """A file of these records; footer and checksum fit, and so do the places in its indexes where they are relocated."""
+def rebuilt(records, relocate):
+    """A file of these records, its footer and checksum right; its indexes too where they are relocated."""
     moved, lengths, at = {}, {}, len(MAGIC)
     for record in records:
         if record.place is not None:
@@ -242,7 +257,8 @@ def _rebuilt(records, relocate):
         at += HEAD.size + len(record.body)
     summary = offsets = 0
     out, ended = bytearray(MAGIC), False
-    for record in records:
+    for given in records:
+        record = given
         if ended and not summary and record.opcode != Opcode.FOOTER:
             summary = len(out)
         if not offsets and record.opcode == Opcode.SUMMARY_OFFSET:
@@ -253,13 +269,19 @@ def _rebuilt(records, relocate):
         if record.opcode == Opcode.FOOTER and len(record.body) == FOOTER.size:
             body = FOOTER.pack(summary, offsets, 0)
             checked = bytes(out[summary:]) + HEAD.pack(record.opcode, len(body)) + body[:-4]
-            record = dataclasses.replace(record, body=body[:-4] + struct.pack("<I", zlib.crc32(checked) if summary else 0))
+            record = dataclasses.replace(
+                record, body=body[:-4] + struct.pack("<I", zlib.crc32(checked) if summary else 0)
+            )
         out += _joined([record])
     return bytes(out) + MAGIC
 
 
 def _relocated(record, moved, lengths):
-    kinds = {Opcode.CHUNK_INDEX: ChunkIndex, Opcode.METADATA_INDEX: MetadataIndex, Opcode.ATTACHMENT_INDEX: AttachmentIndex}
+    kinds = {
+        Opcode.CHUNK_INDEX: ChunkIndex,
+        Opcode.METADATA_INDEX: MetadataIndex,
+        Opcode.ATTACHMENT_INDEX: AttachmentIndex,
+    }
     kind = kinds.get(record.opcode)
     if kind is None:
         return record.body
@@ -286,7 +308,7 @@ def _relocated(record, moved, lengths):
 @st.composite
 def lying(draw, data):
     """A file whose records were changed and whose checksums were made to fit."""
-    records = _records(data, len(MAGIC), len(data) - len(MAGIC))
+    records = records_in(data)
     for _ in range(draw(st.integers(1, 2))):
         chunks = [at for at, record in enumerate(records) if record.opcode == Opcode.CHUNK]
         if chunks and draw(st.integers(0, 2)) == 0:
@@ -297,7 +319,7 @@ def lying(draw, data):
                 pass  # it was changed before
         else:
             records = draw(_changed(records))
-    return _rebuilt(records, draw(st.booleans()))
+    return rebuilt(records, draw(st.booleans()))
 
 
 # --- bags that nobody recorded
@@ -317,16 +339,26 @@ def crafted(draw):
         repeat_channels=draw(st.integers(0, 5)) > 0,
         enable_crcs=draw(st.booleans()),
     )
-    writer.start(draw(st.sampled_from(("ros2", "", "\x1b[31m"))), draw(st.sampled_from(("another", "squeal_rig 0.1.0", ""))))
+    writer.start(
+        draw(st.sampled_from(("ros2", "", "\x1b[31m"))), draw(st.sampled_from(("another", "squeal_rig 0.1.0", "")))
+    )
     channels = [draw(_channels(writer)) for _ in range(draw(st.integers(1, 4)))]
     for sequence in range(draw(st.integers(0, 12))):
         channel, type_name = draw(st.sampled_from(channels))
         payload = draw(messages_of(type_name if type_name in STOCK else draw(st.sampled_from(STOCK))))
         number = draw(st.sampled_from((sequence, sequence, 0, 2**32 - 1)))
         writer.add_message(channel, draw(st.sampled_from(ODD_TIMES)), payload, draw(st.sampled_from(ODD_TIMES)), number)
-    for name in draw(st.lists(st.sampled_from(("rosbag2", "parameters", "parameter_change", "provenance", "snapshot", "x")), max_size=3)):
-        keys = st.sampled_from(("serialized_metadata", "node", "time_ns", "values", "ending", "seconds", "reason", "crc32"))
-        values = st.one_of(st.sampled_from(ODD_VALUES), odd_texts("custom_data:\n  ending: complete\n  lost_messages: 0"))
+    for name in draw(
+        st.lists(
+            st.sampled_from(("rosbag2", "parameters", "parameter_change", "provenance", "snapshot", "x")), max_size=3
+        )
+    ):
+        keys = st.sampled_from(
+            ("serialized_metadata", "node", "time_ns", "values", "ending", "seconds", "reason", "crc32")
+        )
+        values = st.one_of(
+            st.sampled_from(ODD_VALUES), odd_texts("custom_data:\n  ending: complete\n  lost_messages: 0")
+        )
         metadata = draw(st.dictionaries(keys, values, max_size=4))
         writer.add_metadata(name, {key: value.encode("utf-8", "replace").decode() for key, value in metadata.items()})
     if draw(st.integers(0, 5)) == 0:
@@ -343,7 +375,11 @@ def _channels(draw, writer):
         text = schema_of(type_name).text
     encoding = draw(st.sampled_from(("ros2msg", "ros2msg", "ros2msg", "ros2idl", "", "protobuf")))
     schema = writer.register_schema(type_name, encoding, encoded(text))
-    qos = draw(st.one_of(st.just(qos_to_yaml([QosProfile()])), odd_texts(qos_to_yaml([QosProfile()])), st.sampled_from(ODD_VALUES)))
+    qos = draw(
+        st.one_of(
+            st.just(qos_to_yaml([QosProfile()])), odd_texts(qos_to_yaml([QosProfile()])), st.sampled_from(ODD_VALUES)
+        )
+    )
     metadata = {"offered_qos_profiles": qos.encode("utf-8", "replace").decode()}
     topic, serialization = draw(st.sampled_from(ODD_TOPICS)), draw(st.sampled_from(("cdr", "cdr", "cdr", "json", "")))
     return writer.register_channel(topic, serialization, schema, metadata), type_name
@@ -364,15 +400,17 @@ def _bag_of(channels=((1, "/x"),), schemas=(), messages=(), chunk=None):
     data = stream.getvalue()
     if chunk is None:
         return data
-    records = _records(data, len(MAGIC), len(data) - len(MAGIC))
+    records = records_in(data)
     records = [dataclasses.replace(r, body=chunk) if r.opcode == Opcode.CHUNK else r for r in records]
-    return _rebuilt(records, relocate=True)
+    return rebuilt(records, relocate=True)
 
 
 @functools.cache
 def _zeros(compression):
     """Gigabytes of zeros, packed."""
-    compressor = zstandard.ZstdCompressor(level=1).compressobj() if compression == "zstd" else lz4.frame.LZ4FrameCompressor()
+    compressor = (
+        zstandard.ZstdCompressor(level=1).compressobj() if compression == "zstd" else lz4.frame.LZ4FrameCompressor()
+    )
     parts = [compressor.begin()] if compression == "lz4" else []
     zeros = bytes(1 << 24)
     parts += [compressor.compress(zeros) for _ in range(_BOMB >> 24)]
@@ -391,7 +429,9 @@ def _many_channels():
 
 def _many_schemas():
     names = [f"a/msg/B{number}" for number in range(9000)]
-    return _bag_of([(n + 1, f"/t{n}") for n in range(9000)], [(name, "string x") for name in names], [(1, string_cdr("x"))])
+    return _bag_of(
+        [(n + 1, f"/t{n}") for n in range(9000)], [(name, "string x") for name in names], [(1, string_cdr("x"))]
+    )
 
 
 def _wide_schema():
@@ -406,7 +446,11 @@ def _heavy_cloud(name):
 
 #: Files that stand for far more than their bytes, by name.
 BOMBS = {
-    **{f"{name} {size}": functools.partial(_zero_bomb, name, size) for name in ("zstd", "lz4") for size in (_BOMB, 1 << 30, 1000)},
+    **{
+        f"{name} {size}": functools.partial(_zero_bomb, name, size)
+        for name in ("zstd", "lz4")
+        for size in (_BOMB, 1 << 30, 1000)
+    },
     "many_channels": _many_channels,
     "many_schemas": _many_schemas,
     "wide_schema": _wide_schema,
@@ -437,7 +481,14 @@ def made(corpus):
 @st.composite
 def cases(draw, corpus):
     """One bag, and three of the commands that it is given to after `verify` and `recover`."""
-    readers = draw(st.lists(st.sampled_from([name for name in READERS if name not in ("verify", "recover")]), min_size=3, max_size=3, unique=True))
+    readers = draw(
+        st.lists(
+            st.sampled_from([name for name in READERS if name not in ("verify", "recover")]),
+            min_size=3,
+            max_size=3,
+            unique=True,
+        )
+    )
     facts = {"readers": ", ".join(("verify", "recover", *readers))}
     how = draw(st.sampled_from(("damaged", "damaged", "lying", "lying", "metadata", "crafted", "crafted")))
     if how == "crafted":
@@ -628,7 +679,10 @@ READERS = {
     "info --quick": _runs("info --quick", "info", "--quick", "bag"),
     "cut": _cut,
     "merge": _merge,
-    **{f"export {to}": _runs(f"export {to}", "bag", "export", "bag", f"out/{to}", "--to", to) for to in ("csv", "parquet", "hdf5", "wav")},
+    **{
+        f"export {to}": _runs(f"export {to}", "bag", "export", "bag", f"out/{to}", "--to", to)
+        for to in ("csv", "parquet", "hdf5", "wav")
+    },
     "estimate": _runs("estimate", "bag", "estimate", "bag", "out/estimated"),
     "analyse": _runs("analyse", "analyse", "bag", "--picture", "out/picture.png"),
     "read_array": _frames,

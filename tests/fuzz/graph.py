@@ -53,7 +53,19 @@ TRIGGERS = (
 )
 _ACTIONS = 30  # of one input
 _SHUTDOWNS = (5, 6, 7)  # transitions after which a rig cannot be brought back; the last word, not an input
-_ODD_TEXTS = ("", "x", "preload", "[/x]", "\x1b[31m", "a.b", "qos_overrides./x", "use_sim_time", "x" * 3000, "\u00e9", "/**")
+_ODD_TEXTS = (
+    "",
+    "x",
+    "preload",
+    "[/x]",
+    "\x1b[31m",
+    "a.b",
+    "qos_overrides./x",
+    "use_sim_time",
+    "x" * 3000,
+    "\u00e9",
+    "/**",
+)
 _SOURCES = {path.name for path in Path(squeal_rig.__file__).parent.rglob("*.py")}
 _FAILURE = re.compile(r"(\w+(?:Error|Exception)): [^\n]*\((\w+\.py), line (\d+)\)")
 _GOOD = {"preload": 50.0, "belt_speed": 1.0, "k1": 4e7, "k2": 4e7, "mass": 11.499, "damping_x": 20.0, "damping_y": 20.0}
@@ -111,10 +123,17 @@ def _requests():
     return st.one_of(
         st.builds(lambda how, a: (f"{how} {a[0]}", a[1]), st.sampled_from(("set", "set", "set_atomically")), lists),
         st.builds(lambda how, a: (f"{how} {a[0]}", a[1]), st.sampled_from(("get", "get_types", "describe")), names),
-        st.builds(lambda n, depth, p: (f"list {n}", [depth, p]), node, st.sampled_from((0, 1, 2**64 - 1)), st.lists(st.sampled_from(_ODD_TEXTS), max_size=2)),
+        st.builds(
+            lambda n, depth, p: (f"list {n}", [depth, p]),
+            node,
+            st.sampled_from((0, 1, 2**64 - 1)),
+            st.lists(st.sampled_from(_ODD_TEXTS), max_size=2),
+        ),
         st.sampled_from(TRIGGERS).map(lambda name: (f"trigger {name}", None)),
         st.booleans().map(lambda on: ("pause rig", on)),
-        st.sampled_from([n for n in (*range(100), 255) if n not in _SHUTDOWNS]).map(lambda n: ("transition rig", [n, ""])),
+        st.sampled_from([n for n in (*range(100), 255) if n not in _SHUTDOWNS]).map(
+            lambda n: ("transition rig", [n, ""])
+        ),
         st.sampled_from((1, 2, 3, 4)).map(lambda n: ("transition rig", [n, ""])),
         st.sampled_from(_ODD_TEXTS).map(lambda label: ("transition rig", [0, label])),
         st.sampled_from(ODD_NUMBERS).map(lambda n: ("clock", [n % 2**32 - 2**31, n % 2**32])),
@@ -181,7 +200,9 @@ class Tester:
         start = self._start_node
         for name in CONSUMERS:
             self._nodes[name] = start(name, *sim)
-        self._nodes["recorder"] = start("recorder", *sim, *parameters(topics=["*"], directory=f"{self._folder.name}/bag"))
+        self._nodes["recorder"] = start(
+            "recorder", *sim, *parameters(topics=["*"], directory=f"{self._folder.name}/bag")
+        )
         self._nodes["player"] = self._player()
         self._nodes["rig"] = start("simulator", *parameters(sample_rate=6400, damping_x=20.0, damping_y=20.0))
         self._nodes["console"] = self._processes.start([sys.executable, "-m", "tests.fuzz.graph"])
@@ -193,7 +214,9 @@ class Tester:
 
     def _player(self):
         remap = [f"/{name}/:=/played/{name}/" for name in ("daq", "truth", "rig")]
-        options = parameters(bag=self._corpus / "plain", start_paused="true", loop="true", remap=remap, use_sim_time="true")
+        options = parameters(
+            bag=self._corpus / "plain", start_paused="true", loop="true", remap=remap, use_sim_time="true"
+        )
         return self._start_node("player", *options)
 
     def examine(self, case):
@@ -210,7 +233,9 @@ class Tester:
         if found or any(not node.running for node in self._nodes.values()):
             return found + self._stop()
         self._talker.cure(_GOOD)
-        refused = [data for place, data in case.files.items() if case.facts[place] == "publish /daq/samples" and _refused(data)]
+        refused = [
+            data for place, data in case.files.items() if case.facts[place] == "publish /daq/samples" and _refused(data)
+        ]
         if refused and self._rounds % 4 == 0:
             found += self._deaf(refused)
         return found
@@ -225,7 +250,9 @@ class Tester:
         waiting = [name for name in self._nodes if name != "console"]
         while waiting and time.monotonic() < end:
             self._talker.spin(0.1)
-            waiting = [name for name in waiting if self._nodes[name].running and not health_of(self._talker.health, name)]
+            waiting = [
+                name for name in waiting if self._nodes[name].running and not health_of(self._talker.health, name)
+            ]
         found += [f"{name} is silent for {DEADLINE:g} s" for name in waiting]
         for name, node in self._nodes.items():
             found += self._printed(name, node)
@@ -274,7 +301,11 @@ class Tester:
             self._talker.spin(0.05)
         code = node.end(signal.SIGINT)[0] if node.running else node.wait()
         found = self._printed(executable, node)
-        return found if code in (0, 2) else [*found, f"the process {executable} ended with {code} on a spoilt file\n{node.errors[-3000:]}"]
+        return (
+            found
+            if code in (0, 2)
+            else [*found, f"the process {executable} ended with {code} on a spoilt file\n{node.errors[-3000:]}"]
+        )
 
     def _stop(self):
         """End everything; whoever runs ends with code 0."""
@@ -322,7 +353,10 @@ def _console():
     ended = []
     signal.signal(signal.SIGINT, lambda *_: ended.append(True))
     graph = LiveGraph(lambda: None)
-    with open(os.devnull, "w", encoding="utf-8") as nowhere, StateDisplay(Console(file=nowhere, force_terminal=True), graph.state) as display:
+    with (
+        open(os.devnull, "w", encoding="utf-8") as nowhere,
+        StateDisplay(Console(file=nowhere, force_terminal=True), graph.state) as display,
+    ):
         while not ended:
             graph.spin()
             display.refresh()

@@ -43,8 +43,40 @@ RECORDS = {
     "friction/windows": (FRICTION_WINDOW_RECORD, FRICTION_WINDOW_CHANNELS),
 }
 ODD_NUMBERS = (0, 1, 2, 3, 7, 8, 255, 2**15, 2**16 - 1, 2**16, 2**31 - 1, 2**31, 2**32 - 1)
-ODD_FLOATS = (0.0, -0.0, 1e-320, 1e-12, 1.0, -1.0, 50.0, 1e6, 1e12, 1e20, 1e154, 1e308, -1e308, *map(float, ("nan", "inf", "-inf")))
-ODD_NAMES = ("", "\0", "x", "y", "t", "seq", "preload", "stamp", ".", "..", "a/b", "a" * 300, "[/x]", "\x1b[31m", "\u00e9", "rgb")
+ODD_FLOATS = (
+    0.0,
+    -0.0,
+    1e-320,
+    1e-12,
+    1.0,
+    -1.0,
+    50.0,
+    1e6,
+    1e12,
+    1e20,
+    1e154,
+    1e308,
+    -1e308,
+    *map(float, ("nan", "inf", "-inf")),
+)
+ODD_NAMES = (
+    "",
+    "\0",
+    "x",
+    "y",
+    "t",
+    "seq",
+    "preload",
+    "stamp",
+    ".",
+    "..",
+    "a/b",
+    "a" * 300,
+    "[/x]",
+    "\x1b[31m",
+    "\u00e9",
+    "rgb",
+)
 STOCK = ("std_msgs/msg/String", "sensor_msgs/msg/PointCloud2", "diagnostic_msgs/msg/DiagnosticArray",
          "rcl_interfaces/msg/ParameterEvent", "std_msgs/msg/Float64MultiArray", "rosgraph_msgs/msg/Clock",
          "sensor_msgs/msg/JointState", "geometry_msgs/msg/WrenchStamped", "std_msgs/msg/Float64")  # fmt: skip
@@ -108,7 +140,13 @@ def odd_blocks(draw, topic=None):
     record, _ = RECORDS[draw(st.sampled_from(sorted(RECORDS)) if topic is None else st.just(topic))]
     count = draw(st.sampled_from((0, 1, 2, 64, 64, 64, 1000)))
     samples = np.zeros(count, record)
-    usual = {"preload": 50.0, "belt_speed": 1.0, "t": np.arange(count) / 6400, "seq": np.arange(count), "arm_left": 50.0}
+    usual = {
+        "preload": 50.0,
+        "belt_speed": 1.0,
+        "t": np.arange(count) / 6400,
+        "seq": np.arange(count),
+        "arm_left": 50.0,
+    }
     for name in set(usual) & set(record.names):
         samples[name] = usual[name]
     for name in draw(st.lists(st.sampled_from(record.names), max_size=4)):
@@ -147,7 +185,9 @@ def spoilt(draw, data):
 def clouds(topic=None):
     """PointCloud2 of every kind."""
     blocks = odd_blocks(topic)
-    return st.one_of(odd_clouds(), blocks, blocks, blocks.flatmap(spoilt), odd_clouds().flatmap(spoilt), st.binary(max_size=200))
+    return st.one_of(
+        odd_clouds(), blocks, blocks, blocks.flatmap(spoilt), odd_clouds().flatmap(spoilt), st.binary(max_size=200)
+    )
 
 
 def many_fields(count=60_000):
@@ -182,8 +222,12 @@ def messages_of(type_name):
     """CDR bytes of a stock type: what is no such message, and what is one with odd numbers in it."""
     head = b"\0\1\0\0"
     numbers = st.lists(st.sampled_from(ODD_NUMBERS).map(lambda n: struct.pack("<I", n)), max_size=30).map(b"".join)
-    texts = st.sampled_from(("", "rig", "/rig", "[/x]", "\x1b[2J", "x" * 3000)).map(lambda t: struct.pack("<I", len(t) + 1) + t.encode() + b"\0")
-    loose = st.lists(st.one_of(numbers, texts, st.binary(max_size=12)), max_size=8).map(lambda parts: head + b"".join(parts))
+    texts = st.sampled_from(("", "rig", "/rig", "[/x]", "\x1b[2J", "x" * 3000)).map(
+        lambda t: struct.pack("<I", len(t) + 1) + t.encode() + b"\0"
+    )
+    loose = st.lists(st.one_of(numbers, texts, st.binary(max_size=12)), max_size=8).map(
+        lambda parts: head + b"".join(parts)
+    )
     if type_name == "sensor_msgs/msg/PointCloud2":
         return clouds()
     if type_name == "std_msgs/msg/String":
@@ -199,7 +243,9 @@ def string_cdr(text):
 
 def definitions():
     """(type name, definition) as a channel of a bag would have them."""
-    names = st.sampled_from((*STOCK, "a/msg/B", "a/b", "", "/", "msg", "../os/msg/path", "std_msgs/msg/", "x" * 3000, "\0"))
+    names = st.sampled_from(
+        (*STOCK, "a/msg/B", "a/b", "", "/", "msg", "../os/msg/path", "std_msgs/msg/", "x" * 3000, "\0")
+    )
     stock = st.sampled_from(STOCK).map(lambda name: schema_of(name).text)
     more = st.sampled_from(("", "float64 x", "a/B b", "float64[<=1e9] x", "string<=9999999999 s", "int32[99999999] x",
                             "===\nMSG: a/B", "float64 x\nfloat64 x", "uint8 X=300", "B b\n===\nMSG: a/B\nB b", "[/x] y", "\0"))  # fmt: skip
@@ -229,7 +275,10 @@ def made(_corpus):
     for name, data in heavy_clouds().items():
         yield Case({"cloud": data}, {"made": name})
     wide = "\n".join(f"float64 f{number}" for number in range(100_000))
-    nested = "A a\n" + "".join(f"===\nMSG: p/{a}\n{b} x\n{b} y\n" for a, b in zip("ABCDEFGHIJKLMNOPQRSTUVWX", "BCDEFGHIJKLMNOPQRSTUVWXY", strict=True))
+    nested = "A a\n" + "".join(
+        f"===\nMSG: p/{a}\n{b} x\n{b} y\n"
+        for a, b in zip("ABCDEFGHIJKLMNOPQRSTUVWX", "BCDEFGHIJKLMNOPQRSTUVWXY", strict=True)
+    )
     for name, text in (("wide", wide), ("nested", nested)):
         yield Case({"definition": text.encode(), "message": bytes(100)}, {"type": "a/msg/B", "made": name})
 
@@ -265,7 +314,9 @@ def examine(case, notes):
         if name == "cloud":
             _examine_cloud(data, notes)
         elif name == "definition":
-            schema = MessageSchema(case.facts["type"].replace("<NUL>", "\0"), data.decode("utf-8", "replace"), "", "ros2msg")
+            schema = MessageSchema(
+                case.facts["type"].replace("<NUL>", "\0"), data.decode("utf-8", "replace"), "", "ros2msg"
+            )
             _decode(schema, case.files["message"], notes)
             notes.step("conflict", schema.conflict, schema_of("std_msgs/msg/String"))
         elif name == "message" and "stock" in case.facts:
@@ -347,7 +398,9 @@ def _compare(data, block, notes):
     if len(block.samples) != other.height * other.width:
         notes.wrong("a PointCloud2 with another number of points than rosbags reads")
     elif len(block.samples):
-        last = other.data[(other.height - 1) * other.row_step * (other.height > 1) :][(other.width - 1) * other.point_step :]
+        last = other.data[(other.height - 1) * other.row_step * (other.height > 1) :][
+            (other.width - 1) * other.point_step :
+        ]
         for field in other.fields:
             dtype = block.samples.dtype[field.name]
             expected = np.frombuffer(last.tobytes(), dtype, 1, field.offset)[0]

@@ -24,7 +24,21 @@ ODD_VALUES = (
     *("9" * 400, "-" + "9" * 25, "0." + "3" * 400, "18446744073709551616", "'1e-05'", "!!float x", "!!int ''"),
     *("!!binary x", "!!python/object/apply:os.getcwd []", "!!set {a, b}", "&a [*a]", "*b", "&a 1", "<<", "|", ">"),
     *("[1, 2]", "[[[[1]]]]", "{a: {b: {c: 1}}}", "{1: 2}", "{[1]: 2}", "? x", "- x", "[/x]", "'[/x]'", "'[bold]'"),
-    *('"\\0"', '"\\e[31m"', '"\\ud800"', '"\\U0010ffff"', "'\t'", "\u00e9\u4e2d", "\u2028", "@", "`", "%", "#", "{[", "[" * 60),
+    *(
+        '"\\0"',
+        '"\\e[31m"',
+        '"\\ud800"',
+        '"\\U0010ffff"',
+        "'\t'",
+        "\u00e9\u4e2d",
+        "\u2028",
+        "@",
+        "`",
+        "%",
+        "#",
+        "{[",
+        "[" * 60,
+    ),
     *("x" * 5000, "../../../../etc/hostname", "/dev/zero", "/dev/stdin", ".", "/", "..", "\\"),
 )
 #: Lines that do not belong where they are put.
@@ -49,7 +63,9 @@ def odd_texts(draw, text, most=4):
     for _ in range(draw(st.integers(1, most))):
         at = draw(st.integers(0, max(len(lines) - 1, 0)))
         line = lines[at] if lines else ""
-        how = draw(st.sampled_from(("value", "value", "inner", "name", "line", "double", "drop", "indent", "cut", "letter")))
+        how = draw(
+            st.sampled_from(("value", "value", "inner", "name", "line", "double", "drop", "indent", "cut", "letter"))
+        )
         if how == "value":
             lines[at : at + 1] = [line.partition(":")[0] + ": " + draw(st.sampled_from(ODD_VALUES))]
         elif how == "inner":  # of a flow mapping or list
