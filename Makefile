@@ -4,8 +4,10 @@ PYTHON ?= python3
 PY := .venv/bin/python
 # Given after the command of a target, as in: make test ARGS="-k friction"
 ARGS ?=
+# How long the fuzz suite runs.
+MINUTES ?= 2
 
-.PHONY: help demo reproduce test lint bench bench-bags docs evidence clean
+.PHONY: help demo reproduce test fuzz lint bench bench-bags docs evidence clean
 .DEFAULT_GOAL := help
 
 # A ROS installation or another environment around us would mix its libraries with ours.
@@ -16,6 +18,7 @@ help:
 	@echo "make demo       run the rig from quiet sliding into squeal; leaves a bag and a picture in bags/"
 	@echo "make reproduce  the paper's figures and tables beside its numbers; leaves reproduction/"
 	@echo "make test       run the tests (ARGS: options for pytest)"
+	@echo "make fuzz       inputs that nobody means well, for two minutes (MINUTES=30: for longer); fuzz_findings/ has what it finds"
 	@echo "make lint       check style, types and imports"
 	@echo "make bench      measure speed against peers, and the live node; writes docs/benchmarks.md"
 	@echo "                ARGS=engine or ARGS=nodes for one of them, ARGS=\"nodes --minutes 10\" for the long run"
@@ -41,6 +44,10 @@ ifeq ($(ARGS),)
 else
 	$(PY) -m pytest $(ARGS)
 endif
+
+# One command after another and one graph, so that a deadline is one of the input and not of the machine.
+fuzz: .venv/.ready
+	$(PY) -m tests.fuzz --minutes $(MINUTES) $(ARGS)
 
 bench: .venv/.bench
 	$(PY) -m benchmarks $(ARGS)
