@@ -6,7 +6,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
-from squeal_rig.experiments.plan import Plan, Step
+from squeal_rig.experiments.plan import Plan
+
+STEP_BEGUN, STEP_ENDED = "step begun", "step ended"
 
 
 class Rig(Protocol):
@@ -26,38 +28,38 @@ class Rig(Protocol):
 
 
 @dataclass(frozen=True)
-class StepRecord:
-    """A step as it was run: when it began and ended [s of sampled time] and what the rig answered."""
+class RunEvent:
+    """What happened in a run, in words, with facts by name; `failed` where it should not have happened."""
 
-    step: Step
-    begin: float
-    end: float
-    answer: str
+    what: str
+    facts: Mapping[str, object]
+    failed: bool = False
 
 
-def run_plan(plan: Plan, rig: Rig, begun: Callable[[int, Step], None] | None = None) -> list[StepRecord]:
+def run_plan(plan: Plan, rig: Rig, tell: Callable[[RunEvent], None]) -> None:
     """Run every step in order; waits are counted from the step before, so they do not drift.
 
     Args:
         plan: what to do.
         rig: what to do it to.
-        begun: called with the number (from 0) and the step as it begins.
+        tell: called as a step begins and as it ends, however it ends; times are sampled time [s].
 
     Raises:
         ExperimentError: the rig refused, or did not get there in time.
     """
-    records: list[StepRecord] = []
     begin = rig.sampled_time()
-    for number, step in enumerate(plan.steps):
-        if begun is not None:
-            begun(number, step)
-        answer = ""
-        if step.set:
-            rig.set_parameters(step.set)
-        if step.call:
-            answer = rig.call(step.call)
-        end = begin + step.wait
-        rig.wait_until(end)
-        records.append(StepRecord(step, begin, end, answer))
-        begin = end
-    return records
+    for number, step in enumerate(plan.steps, 1):
+        values = ", ".join(f"{name} = {value}" for name, value in step.set.items())
+        facts: dict[str, object] = {"step": number, "of": len(plan.steps), "title": step.title, "begin [s]": begin}
+        facts |= {"set": values, "call": step.call, "wait [s]": step.wait}
+        tell(RunEvent(STEP_BEGUN, facts))
+        try:
+            if step.set:
+                rig.set_parameters(step.set)
+            answer = rig.call(step.call) if step.call else ""
+            rig.wait_until(begin + step.wait)
+        except BaseException as error:
+            tell(RunEvent(STEP_ENDED, {**facts, "end [s]": rig.sampled_time(), "outcome": str(error)}, failed=True))
+            raise
+        begin += step.wait
+        tell(RunEvent(STEP_ENDED, {**facts, "end [s]": begin, "outcome": "done", "answer": answer}))

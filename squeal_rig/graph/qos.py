@@ -12,6 +12,14 @@ BLOCKS_IN = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=400, reliability=R
 #: Windows, states, health: at most some ten a second.
 EVENTS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=20, reliability=ReliabilityPolicy.RELIABLE)
 
+#: All that happened in a run, also for those who come late.
+RUN_EVENTS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1000,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+
 #: The last value is what counts, also for those who come late.
 LATCHED = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,

@@ -6,7 +6,9 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter
 from rclpy.timer import Timer
 
 from squeal_rig.configuration.declared import Declared
@@ -27,6 +29,8 @@ from squeal_rig.model.parameters import RigParameters
 
 # Catching up, blocks are made for so long [s] before others get their turn: services, parameters, signals.
 _TURN = 0.1
+_SIM_TIME = "use_sim_time"
+_OWN_TIME = "the rig makes the time, and its stamps are the system's"
 
 
 class RigNode(LifecycleNode):
@@ -35,6 +39,7 @@ class RigNode(LifecycleNode):
     def __init__(self, lifetime: Lifetime, fixed_driver: str | None = None) -> None:
         super().__init__("rig", **NODE_OPTIONS)
         self._lifetime = lifetime
+        self._sim_time_asked = self._keep_system_time()
         preset = PresetChoice.from_mapping({k: v for k, v in overrides(self).items() if k == "preset"})
         base = RigParameters.preset(preset.preset)
         self._declared = DeclaredParameters(self, (preset, base, RigSettings()), self._refuse, self._apply)
@@ -48,7 +53,7 @@ class RigNode(LifecycleNode):
         self._samples = 0
         self._pacer = Pacer(self._settings.real_time_factor)
         self._timer: Timer | None = None
-        self._active = self._paused = False
+        self._active = self._paused = self._ended = False
         self._fault = ""
         self._told_overruns = 0
         self._warnings: tuple[str, ...] = ()
@@ -65,6 +70,19 @@ class RigNode(LifecycleNode):
                 transition()
                 if self._fault:
                     raise DriverError(f"rig: {self._fault}")
+
+    def _keep_system_time(self) -> bool:
+        """Whether simulated time was asked for, as in files for every node: who makes the time cannot follow it."""
+        asked = bool(self.get_parameter(_SIM_TIME).value)
+        if asked:
+            self.set_parameters([Parameter(_SIM_TIME, value=False)])
+
+        def refuse(changes: list[Parameter]) -> SetParametersResult:
+            refused = any(change.name == _SIM_TIME and change.value for change in changes)
+            return SetParametersResult(successful=not refused, reason=_OWN_TIME if refused else "")
+
+        self.add_on_set_parameters_callback(refuse)
+        return asked
 
     # --- lifecycle
 
@@ -86,7 +104,10 @@ class RigNode(LifecycleNode):
         """Let go of the driver."""
         return self._attempt(self.close)
 
-    on_shutdown = on_cleanup
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Let go of the driver for good."""
+        self._ended = True
+        return self._attempt(self.close)
 
     def close(self) -> None:
         """Stop sampling and let go of the driver."""
@@ -217,6 +238,8 @@ class RigNode(LifecycleNode):
         return "paused" if pause else "running"
 
     def _sampled(self) -> Acquisition:
+        if self._ended:
+            raise DriverError("the rig was shut down: start its node again")
         if self._acquisition is None or not self._active:
             raise DriverError("the rig is not active: activate it first")
         return self._acquisition
@@ -240,13 +263,15 @@ class RigNode(LifecycleNode):
         if self._fault:
             return ERROR, self._fault, values
         if not self._active or self._paused:
-            return OK, "paused" if self._active else "inactive", values
+            return OK, "shut down" if self._ended else "paused" if self._active else "inactive", values
         if warnings:
             return WARN, " ".join(warnings), values
         if overruns:
             return WARN, f"fell behind real time: {self._pacer.skipped_seconds:.2f} s skipped so far", values
         if behind > LATE:
             return WARN, f"behind real time by {1e3 * behind:.0f} ms, catching up", values
+        if self._sim_time_asked:
+            return WARN, f"{_SIM_TIME} was asked for: {_OWN_TIME}", values
         return OK, "running", values
 
 

@@ -21,6 +21,7 @@ DEFAULT_TOPICS = (
     "stability/eigenvalues",
     "stability/summary",
     "squeal/state",
+    "run/events",
     "/diagnostics",
     "/parameter_events",
     "/rosout",

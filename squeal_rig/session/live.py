@@ -20,8 +20,9 @@ from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 
 from squeal_rig.errors import ExperimentError, RecordingError
+from squeal_rig.experiments.engine import RunEvent
 from squeal_rig.graph import qos
-from squeal_rig.graph.conversions import status_number, status_values
+from squeal_rig.graph.conversions import ERROR, OK, diagnostics, status, status_number, status_values
 from squeal_rig.graph.lifetime import GuardedExecutor
 from squeal_rig.graph.names import Claim, is_running
 from squeal_rig.instruments.channels import DAQ_CHANNELS, FRICTION_WINDOW_CHANNELS, block_from_cdr
@@ -83,6 +84,7 @@ class LiveGraph:
         subscribe(DiagnosticArray, "stability/summary", self._on_stability, qos.LATCHED)
         subscribe(DiagnosticArray, "squeal/state", self._on_squeal, qos.EVENTS)
         subscribe(DiagnosticArray, "/diagnostics", self._on_health, qos.EVENTS)
+        self._events = self._node.create_publisher(DiagnosticArray, "run/events", qos.RUN_EVENTS)
         self._set = self._node.create_client(SetParametersAtomically, "rig/set_parameters_atomically")
         self._change_state = self._node.create_client(ChangeState, "rig/change_state")
         self._triggers = {
@@ -153,6 +155,18 @@ class LiveGraph:
             raise ExperimentError(f"the rig refused {service}: {response.message}")
         return str(response.message)
 
+    def tell(self, event: RunEvent) -> None:
+        """Publish what has happened, with the number of the sample that comes next."""
+        coming = "none" if self._next_seq is None else self._next_seq % 2**32
+        told = status(ERROR if event.failed else OK, "run", event.what, {**event.facts, "next sample": coming})
+        self._events.publish(diagnostics(time.time_ns(), told))
+
+    def wait_for_reader_of_events(self, timeout: float) -> None:
+        """Wait until somebody reads what was told, at most so long [s]; everything told so far reaches them then."""
+        deadline = time.monotonic() + timeout
+        while self._events.get_subscription_count() == 0 and time.monotonic() < deadline:
+            time.sleep(_SPIN)
+
     def sampled_time(self) -> float:
         """Time sampled since this node joined [s]."""
         return self._samples * self._interval if self._samples else 0.0
@@ -202,27 +216,27 @@ class LiveGraph:
         if not message.status:
             return
         # The last but one of set point, in force, estimated: what is in force, once samples have come.
-        status = message.status[min(1, len(message.status) - 1)]
-        self.state.unstable = status.message == "unstable"
-        self.state.mu_set = status_number(status, "mu")
-        self.state.pad_stiffness = status_number(status, "k [N/m]")
-        self.state.critical_stiffness = status_number(status, "k_cr [N/m]")
-        self.state.margin = status_number(status, "margin")
+        found = message.status[min(1, len(message.status) - 1)]
+        self.state.unstable = found.message == "unstable"
+        self.state.mu_set = status_number(found, "mu")
+        self.state.pad_stiffness = status_number(found, "k [N/m]")
+        self.state.critical_stiffness = status_number(found, "k_cr [N/m]")
+        self.state.margin = status_number(found, "margin")
 
     def _on_squeal(self, message: DiagnosticArray) -> None:
-        for status in message.status[:1]:
-            self.state.squealing = status_values(status).get("detected") == "true"
-            self.state.level = status_number(status, "level [dB re 1 um]")
-            self.state.frequency = status_number(status, "frequency [Hz]")
+        for found in message.status[:1]:
+            self.state.squealing = status_values(found).get("detected") == "true"
+            self.state.level = status_number(found, "level [dB re 1 um]")
+            self.state.frequency = status_number(found, "frequency [Hz]")
 
     def _on_health(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            self.state.health[status.name] = (int.from_bytes(status.level, "little"), status.message)
-            if status.name.split("/")[-1] == "recorder":
-                self.state.recorded_bytes = status_number(status, "bytes")
-            if status.name.split("/")[-1] == "rig":
+        for found in message.status:
+            self.state.health[found.name] = (int.from_bytes(found.level, "little"), found.message)
+            if found.name.split("/")[-1] == "recorder":
+                self.state.recorded_bytes = status_number(found, "bytes")
+            if found.name.split("/")[-1] == "rig":
                 self.state.rig_listeners = {
                     key.removeprefix(_LISTENERS): int(value)
-                    for key, value in status_values(status).items()
+                    for key, value in status_values(found).items()
                     if key.startswith(_LISTENERS)
                 }

@@ -18,8 +18,8 @@ from rich.console import Console
 from squeal_rig.configuration.files import load_yaml
 from squeal_rig.configuration.node_files import node_of, parameter_blocks
 from squeal_rig.errors import ExperimentError
-from squeal_rig.experiments.engine import StepRecord, run_plan
-from squeal_rig.experiments.plan import Plan, Step
+from squeal_rig.experiments.engine import STEP_BEGUN, RunEvent, run_plan
+from squeal_rig.experiments.plan import Plan
 from squeal_rig.session.console import StateDisplay
 from squeal_rig.session.live import LiveGraph
 from squeal_rig.session.processes import NodeProcess, stop_all
@@ -27,6 +27,8 @@ from squeal_rig.session.processes import NodeProcess, stop_all
 CONSUMERS = ("friction_estimator", "stability", "squeal_detector")
 # Compiling for the first time takes tens of seconds on a slow machine.
 _START_TIMEOUT = 120.0
+# Publisher and subscriber were seen to match after 2.3 s at worst.
+_LATE_RECORDER = 3.0
 
 
 class InterruptedByOperator(Exception):  # noqa: N818
@@ -45,10 +47,9 @@ class SessionOptions:
 
 @dataclass
 class SessionResult:
-    """How a session ended: exit codes by node, the plan's steps, whether the operator ended it."""
+    """How a session ended: exit codes by node, whether the operator ended it."""
 
     exit_codes: dict[str, int] = field(default_factory=dict)
-    steps: list[StepRecord] = field(default_factory=list)
     interrupted: bool = False
 
 
@@ -66,7 +67,7 @@ class SignalWatch:
     def check(self) -> None:
         """Raise `InterruptedByOperator` if a signal has come."""
         if self._asked:
-            raise InterruptedByOperator
+            raise InterruptedByOperator("ended by the operator")
 
 
 def keep_to_this_machine() -> str:
@@ -106,7 +107,7 @@ def run_session(options: SessionOptions, console: Console, watch: SignalWatch) -
         graph.refuse_other_rig()
         _start(options, nodes, log_directory, graph)
         with StateDisplay(console, graph.state) as display:
-            _follow(options, graph, display, result)
+            _follow(options, graph, display)
     except InterruptedByOperator:
         result.interrupted = True
     finally:
@@ -147,19 +148,33 @@ def _has_own_clock(config: Path) -> bool:
     return any(values.get("real_time_factor", 1.0) != 1.0 for key, values in blocks if node_of(key) in ("", "rig"))
 
 
-def _follow(options: SessionOptions, graph: LiveGraph, display: StateDisplay, result: SessionResult) -> None:
+def _follow(options: SessionOptions, graph: LiveGraph, display: StateDisplay) -> None:
+    """Run the plan, or let the rig run; how it went is told on the graph, so that a bag keeps it."""
     graph.on_spin = display.refresh
-    if options.plan is not None:
-        plan = options.plan
+    plan = options.plan
 
-        def begun(number: int, step: Step) -> None:
-            display.note(f"step {number + 1} of {len(plan.steps)}: {step.title}")
+    def tell(event: RunEvent) -> None:
+        graph.tell(event)
+        if event.what == STEP_BEGUN:
+            display.note("step {step} of {of}: {title}".format_map(event.facts))
 
-        result.steps = run_plan(plan, graph, begun)
-        return
-    end = math.inf if options.duration is None else graph.sampled_time() + options.duration
-    while graph.sampled_time() < end:
-        graph.spin()
+    planned = {"plan": plan.title, "steps": len(plan.steps), "duration [s]": plan.duration} if plan is not None else {}
+    tell(RunEvent("run started", {**planned, "config": options.config}))
+    outcome, failed = "done", False
+    try:
+        if plan is not None:
+            run_plan(plan, graph, tell)
+        else:
+            end = math.inf if options.duration is None else graph.sampled_time() + options.duration
+            while graph.sampled_time() < end:
+                graph.spin()
+    except BaseException as error:
+        outcome, failed = str(error) or type(error).__name__, not isinstance(error, InterruptedByOperator)
+        raise
+    finally:
+        tell(RunEvent("run ended", {"outcome": outcome}, failed))
+        if options.bag is not None:  # a run can end before the recorder has found the topic
+            graph.wait_for_reader_of_events(_LATE_RECORDER)
 
 
 def wait_for_end(process: NodeProcess, check: Callable[[], None], timeout: float) -> int:

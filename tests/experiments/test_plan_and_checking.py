@@ -40,10 +40,14 @@ def test_waits_are_counted_from_the_step_before_and_do_not_drift(tmp_path):
     path = tmp_path / "plan.yaml"
     path.write_text("title: t\nsteps:\n- {set: {preload: 100}, wait: 1.0}\n- {call: impact, wait: 2.0}\n- {wait: 1}\n")
     rig = Notebook()
-    records = run_plan(load_plan(path), rig)
-    assert [(record.begin, record.end) for record in records] == [(5.0, 6.0), (6.0, 8.0), (8.0, 9.0)]
+    told = []
+    run_plan(load_plan(path), rig, told.append)
+    ends = [event.facts for event in told if event.what == "step ended"]
+    assert [(facts["begin [s]"], facts["end [s]"]) for facts in ends] == [(5.0, 6.0), (6.0, 8.0), (8.0, 9.0)]
+    assert [facts["outcome"] for facts in ends] == ["done"] * 3
+    assert [event.what for event in told] == ["step begun", "step ended"] * 3
     assert rig.log == [("set", {"preload": 100.0}, 5.0), ("call", "impact", 6.013)]
-    assert records[1].answer == "done"
+    assert ends[1]["answer"] == "done"
 
 
 def test_a_refusal_ends_the_plan(tmp_path):
@@ -53,8 +57,11 @@ def test_a_refusal_ends_the_plan(tmp_path):
 
     path = tmp_path / "plan.yaml"
     path.write_text("steps:\n- {call: reset}\n")
+    told = []
     with pytest.raises(ExperimentError, match="not active"):
-        run_plan(load_plan(path), Refusing())
+        run_plan(load_plan(path), Refusing(), told.append)
+    assert (told[-1].what, told[-1].failed) == ("step ended", True)
+    assert told[-1].facts["outcome"] == "the rig refused reset: not active"
 
 
 @pytest.mark.parametrize(

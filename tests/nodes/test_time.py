@@ -111,3 +111,18 @@ def test_a_node_samples_by_itself_once_started(compiled, processes, observer, me
     seconds = time.monotonic() - begin
     measured(f"start of the simulator to its first block: {seconds:.2f} s (asked for: 2 s on a machine at rest)")
     assert node.end()[0] == 0
+
+
+def test_a_rig_that_is_asked_to_follow_a_clock_keeps_the_systems_time_and_says_so(compiled, processes, observer):
+    rig = processes.node("simulator", *parameters(use_sim_time="true"))
+    blocks, health = observer.follow_samples("daq/samples"), observer.follow("/diagnostics")
+    observer.wait_for(lambda: blocks, "samples", 60.0)
+    assert abs(blocks[-1].stamp_ns - time.time_ns()) < 5 * 10**9
+    state = observer.wait_for(
+        lambda: (state := health_of(health, "rig")) and state[0] == 1 and state, "a warning on /diagnostics"
+    )
+    assert state[1].startswith("use_sim_time was asked for: ")
+    assert abs(health[-1].header.stamp.sec - time.time()) < 5.0
+    ((done, reason),) = observer.set({"use_sim_time": True})
+    assert (done, "the rig makes the time" in reason) == (False, True)
+    assert rig.end()[0] == 0

@@ -8,7 +8,7 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from squeal_rig.configuration.files import config_directory
-from squeal_rig.recording import Bag, samples_from_cdr
+from squeal_rig.recording import Bag, decoder_of, samples_from_cdr
 
 pytest.importorskip("rclpy")
 
@@ -80,6 +80,33 @@ def test_the_steps_and_the_live_state_are_shown(planned):
         assert words in child.output
 
 
+def _events(bag):
+    """(level, what, facts) of everything on `run/events`."""
+    found = Bag(bag)
+    decode = decoder_of(found.topics["/run/events"].schema)
+    statuses = [s for message in found.messages(["/run/events"]) for s in decode(message.data).status]
+    return [(s.level, s.message, {pair.key: pair.value for pair in s.values}) for s in statuses]
+
+
+def test_the_bag_keeps_the_plan_and_how_each_step_ended(planned):
+    _, bag = planned
+    events = _events(bag)
+    assert [what for _, what, _ in events] == ["run started", *["step begun", "step ended"] * 5, "run ended"]
+    assert {level for level, _, _ in events} == {0}
+    assert events[0][2]["plan"] == "quiet, squeal, reset, impact"
+    ends = [facts for _, what, facts in events if what == "step ended"]
+    assert [facts["outcome"] for facts in ends] == ["done"] * 5
+    assert ends[1]["set"] == "preload = 300.0, mu0 = 0.26"
+    waits = [float(facts["end [s]"]) - float(facts["begin [s]"]) for facts in ends]
+    assert waits == pytest.approx([0.6, 1.2, 0.0, 0.2, 0.4])
+    assert ends[3]["answer"].startswith("subtracted from now on")
+    assert events[-1][2]["outcome"] == "done"
+    # The numbers of samples tell where in the data a step lies: not before it was waited for.
+    daq = _read(bag)["/daq/samples"]
+    raised = int(daq["seq"][np.argmax(daq["preload"] > 50.0)])
+    assert int(ends[0]["next sample"]) <= raised <= int(ends[1]["next sample"])
+
+
 def test_the_bag_keeps_the_logs_of_the_nodes(planned):
     _, bag = planned
     logs = {path.name: path.read_text(encoding="utf-8") for path in (bag / "logs").iterdir()}
@@ -106,6 +133,9 @@ def test_ctrl_c_ends_a_run_cleanly_with_a_valid_bag(processes, tmp_path, signals
     assert child.errors == ""
     assert seconds < 15.0
     assert len(_read(tmp_path / "bag")["/daq/samples"]) > 0
+    assert [(what, facts["outcome"]) for _, what, facts in _events(tmp_path / "bag")[-1:]] == [
+        ("run ended", "ended by the operator")
+    ]
 
 
 def test_a_run_of_one_second_without_recording_ends_by_itself_and_leaves_nothing(processes, tmp_path):
