@@ -34,14 +34,14 @@ _MODE_BAND = (200.0, 5000.0)
 
 @dataclass
 class Segment:
-    """A stretch of the run with one operating point, squealing throughout or not at all.
+    """A stretch of the run with one operating point, squealing throughout or not at all; None: x is no number there.
 
     Times in s since the first sample; shares of the samples whose truth is known; `signal` is the last part of x [m].
     """
 
     begin: float
     parameters: RigParameters
-    squealing: bool
+    squealing: bool | None
     end: float = 0.0
     samples: int = 0
     off_belt: int = 0
@@ -185,7 +185,8 @@ class _Analyser:
         p = block.rig.parameters.replace(
             preload=float(block.daq["preload"][0]), belt_speed=float(block.daq["belt_speed"][0])
         )
-        squealing = self._squeal.state.detected
+        state = self._squeal.state
+        squealing = None if math.isnan(state.level) else state.detected
         last = self._segments[-1] if self._segments else None
         if last is None or p != last.parameters or squealing != last.squealing:
             last = Segment(begin, p, squealing, sample_rate=float(self._rate))
@@ -233,7 +234,7 @@ def segment_rows(analysis: Analysis) -> Iterator[dict[str, Any]]:
             "k_cr [N/m]": s.critical_pad_stiffness if s else math.nan,
             "margin": s.margin if s else math.nan,
             "eigenvalues": "none" if s is None else "unstable" if s.unstable else "stable",
-            "rig": "squeal" if segment.squealing else "quiet",
+            "rig": {True: "squeal", False: "quiet", None: "no numbers"}[segment.squealing],
             "mu set": segment.mu_set,
             "mu (2.2)": _mean(segment.mu),
             "mu ratio": _mean(segment.mu_ratio),

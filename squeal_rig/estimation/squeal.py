@@ -30,7 +30,7 @@ class SquealDetector:
     """Takes blocks of `daq/samples`; gives a state at the end of every window.
 
     Windows follow one another by sample count; a gap in the samples starts a window anew, since a spectrum over a gap
-    would be none of the rig's. A window with a value that is not finite gives no state.
+    would be none of the rig's. A window with a value that is not finite gives no state, and `state` has no level then.
 
     Raises:
         ParameterError: the band reaches above half the sample rate.
@@ -67,6 +67,8 @@ class SquealDetector:
             if self._filled == len(self._signal):
                 if np.isfinite(self._signal).all():
                     states.append(self._judge())
+                else:
+                    self.state = SquealState(self._stamp, False, float("nan"), float("nan"), None)
                 self._filled = 0
         return states
 

@@ -123,3 +123,15 @@ def test_only_steady_whole_windows_are_taken():
     assert not regression.add_window({**window, "preload": 60.0})
     assert regression.add_window({**window, "preload": 60.0})
     assert not regression.add_window({**window, "preload": 60.0, "valid_share": 0.9})
+
+
+def test_a_displacement_that_is_no_number_is_neither_quiet_nor_loud():
+    detector = SquealDetector(RATE, SquealSettings())
+    signal = np.concatenate([sine(1000.0, 1e-9), np.full(RATE // 10, math.nan), sine(1000.0, 1e-9)])
+    levels = []
+    for stamp, daq in blocks(signal):
+        detector.add_samples(stamp, daq)
+        levels.append(detector.state.level)
+    tenth = len(levels) // 3
+    assert math.isnan(levels[2 * tenth - 1])
+    assert levels[-1] == pytest.approx(-60.0 - 3.01, abs=0.1)
