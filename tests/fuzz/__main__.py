@@ -62,9 +62,8 @@ def run_class(kind, seed, seconds, corpus, findings):
     module = importlib.import_module(f"tests.fuzz.{kind}")
     module.make_corpus(corpus)
     child = getattr(module, "Tester", BoundedChild)(kind, corpus)
-    child.start()
     size = getattr(module, "count", lambda _: 1)
-    count, deadline = 0, time.monotonic() + seconds
+    count = 0
 
     def examine(case):
         nonlocal count
@@ -74,18 +73,20 @@ def run_class(kind, seed, seconds, corpus, findings):
                 findings.add(kind, case, text)
 
     try:
+        child.start()
+        deadline = time.monotonic() + seconds
         made = list(module.made(corpus))
         random.Random(seed).shuffle(made)
         batch = 0
         while time.monotonic() < deadline:
-            if made:  # between the others: some take their time
-                case = made.pop()
-                examine(case() if callable(case) else case)
             run = given(module.cases(corpus))(examine)
             # Not one of hypothesis' own limits: no input is too large or too slow for what is tried here.
             limits = {"deadline": None, "database": None, "suppress_health_check": list(HealthCheck)}
-            seeded(seed + batch)(settings(max_examples=_BATCH, phases=[Phase.generate], **limits)(run))()
+            seeded(f"{seed}/{batch}")(settings(max_examples=_BATCH, phases=[Phase.generate], **limits)(run))()
             batch += 1
+            if made:  # between the others: some take their time
+                case = made.pop()
+                examine(case() if callable(case) else case)
     finally:
         for text in child.close():
             findings.add(kind, Case({}), text)

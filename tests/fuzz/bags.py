@@ -42,8 +42,11 @@ START = 1_700_000_000 * 10**9
 OURS = ("zstd", "plain", "split")
 #: Damage to these shows: every message has a checksum, and is listed under one.
 PROTECTED = (*OURS, "lz4")
-ODD_TOPICS = ("/daq/samples", "/daq/samples", "/rig/description", "/truth/samples", "/x", "", "/", "x", "//", "/../../x", "/a b", "/[/x]",
-              "/\x1b[31m", "/\0", "/" + "t" * 5000, "/stamp", "/.", "/squeal/state", "/stability/summary", "/friction/windows")  # fmt: skip
+ODD_TOPICS = (
+    *("/daq/samples", "/daq/samples", "/rig/description", "/truth/samples", "/squeal/state", "/stability/summary"),
+    *("/friction/windows", "/x", "", "/", "x", "//", "/../../x", "/a b", "/[/x]", "/\x1b[31m", "/\0", "/" + "t" * 5000),
+    *("/stamp", "/."),
+)
 ODD_TIMES = (START, START, START + 10**7, START + 10**8, 0, 1, 2**63 - 1, 2**63, 2**64 - 1)
 _NUMBERS = (0, 1, 2, 9, 255, 2**16 - 1, 2**31, 2**32 - 1, 2**40, 2**63 - 1, 2**63, 2**64 - 1)
 _BOMB = 3 << 30
@@ -257,22 +260,18 @@ def rebuilt(records, relocate):
         at += HEAD.size + len(record.body)
     summary = offsets = 0
     out, ended = bytearray(MAGIC), False
-    for given in records:
-        record = given
+    for record in records:
         if ended and not summary and record.opcode != Opcode.FOOTER:
             summary = len(out)
         if not offsets and record.opcode == Opcode.SUMMARY_OFFSET:
             offsets = len(out)
         ended = ended or record.opcode == Opcode.DATA_END
-        if relocate:
-            record = dataclasses.replace(record, body=_relocated(record, moved, lengths))
-        if record.opcode == Opcode.FOOTER and len(record.body) == FOOTER.size:
-            body = FOOTER.pack(summary, offsets, 0)
-            checked = bytes(out[summary:]) + HEAD.pack(record.opcode, len(body)) + body[:-4]
-            record = dataclasses.replace(
-                record, body=body[:-4] + struct.pack("<I", zlib.crc32(checked) if summary else 0)
-            )
-        out += _joined([record])
+        body = _relocated(record, moved, lengths) if relocate else record.body
+        if record.opcode == Opcode.FOOTER and len(body) == FOOTER.size:
+            body = FOOTER.pack(summary, offsets, 0)[:-4]
+            checked = bytes(out[summary:]) + HEAD.pack(record.opcode, FOOTER.size) + body
+            body += struct.pack("<I", zlib.crc32(checked) if summary else 0)
+        out += HEAD.pack(record.opcode, len(body)) + body
     return bytes(out) + MAGIC
 
 

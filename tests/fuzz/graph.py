@@ -1,4 +1,4 @@
-"""Messages and requests on the graph: every node's subscriptions and services, at real nodes on a domain of their own."""
+"""Messages and requests on the graph: every subscription and service of real nodes, on a domain of their own."""
 
 import json
 import os
@@ -155,7 +155,7 @@ def count(case):
 
 
 def made(_corpus):
-    """Texts and clouds that stand for more than they are, as messages; a parameter file in which everything is odd."""
+    """Texts and clouds that stand for more than they are, as messages."""
     for text in bombs().values():
         yield _case([("publish /rig/description", string_cdr(text))])
     for data in heavy_clouds().values():
@@ -179,7 +179,7 @@ def cases(_corpus):
 
 
 class Tester:
-    """All nodes and the console as processes, and a node of ours that talks to them; started anew when one has ended."""
+    """All nodes and the console as processes, and a node that talks to them; all start anew when one has ended."""
 
     def __init__(self, _kind, corpus):
         self._corpus = corpus

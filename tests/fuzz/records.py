@@ -247,8 +247,11 @@ def definitions():
         (*STOCK, "a/msg/B", "a/b", "", "/", "msg", "../os/msg/path", "std_msgs/msg/", "x" * 3000, "\0")
     )
     stock = st.sampled_from(STOCK).map(lambda name: schema_of(name).text)
-    more = st.sampled_from(("", "float64 x", "a/B b", "float64[<=1e9] x", "string<=9999999999 s", "int32[99999999] x",
-                            "===\nMSG: a/B", "float64 x\nfloat64 x", "uint8 X=300", "B b\n===\nMSG: a/B\nB b", "[/x] y", "\0"))  # fmt: skip
+    odd = (
+        *("", "float64 x", "a/B b", "float64[<=1e9] x", "string<=9999999999 s", "int32[99999999] x", "===\nMSG: a/B"),
+        *("float64 x\nfloat64 x", "uint8 X=300", "B b\n===\nMSG: a/B\nB b", "[/x] y", "\0"),
+    )
+    more = st.sampled_from(odd)
     return st.tuples(names, st.one_of(stock, more, stock.flatmap(odd_texts)))
 
 
@@ -390,6 +393,8 @@ def _compare(data, block, notes):
     try:
         other = TYPES.deserialize_cdr(data, "sensor_msgs/msg/PointCloud2")
     except Exception as error:
+        if "size mismatch" in str(error):  # bytes behind a message are padding to us and to Fast CDR
+            return
         notes.wrong(f"a PointCloud2 that rosbags cannot read ({type(error).__name__})")
         return
     stamp = other.header.stamp.sec * 10**9 + other.header.stamp.nanosec

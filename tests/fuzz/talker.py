@@ -25,8 +25,9 @@ from tests.graph.observer import Observer
 from .graph import SUBSCRIBED
 
 _LATCHED = ("/rig/description", "/friction/model", "/stability/summary")
-_FIELDS = {1: "bool_value", 2: "integer_value", 3: "double_value", 4: "string_value", 5: "byte_array_value",
-           6: "bool_array_value", 7: "integer_array_value", 8: "double_array_value", 9: "string_array_value"}  # fmt: skip
+_SCALARS = ("bool", "integer", "double", "string")
+_ARRAYS = ("byte", "bool", "integer", "double", "string")
+_FIELDS = dict(enumerate([*(f"{k}_value" for k in _SCALARS), *(f"{k}_array_value" for k in _ARRAYS)], 1))
 _SERVICES = {
     "set": (SetParameters, "set_parameters"),
     "set_atomically": (SetParametersAtomically, "set_parameters_atomically"),
