@@ -11,7 +11,7 @@ from squeal_rig.errors import ConfigurationError, RecordingError
 #: Names of the records: all parameters of a node when it was asked, and one change of them.
 AT_START, CHANGE = "parameters", "parameter_change"
 _MAX_NODES = 1000  # nodes come and go in a long recording; what is repeated in every file stays bounded
-_MAX_VALUES = 1 << 20  # characters of YAML
+_MAX_VALUES = 1 << 18  # characters of YAML: some seconds' work
 
 Record = tuple[str, dict[str, str]]
 

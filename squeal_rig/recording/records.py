@@ -47,6 +47,8 @@ _READERS: dict[int, Callable[[ReadDataStream], McapRecord]] = {
     Opcode.STATISTICS: records.Statistics.read,
     Opcode.METADATA: records.Metadata.read,
     Opcode.METADATA_INDEX: records.MetadataIndex.read,
+    Opcode.ATTACHMENT: records.Attachment.read,
+    Opcode.ATTACHMENT_INDEX: records.AttachmentIndex.read,
     Opcode.DATA_END: records.DataEnd.read,
 }
 
@@ -142,7 +144,8 @@ def parse_record(opcode: int, body: bytes) -> McapRecord:
         return _READERS[opcode](_WholeReads(io.BytesIO(body)))
     except Exception as error:  # mcap raises its own, struct's and unicode errors here
         name = Opcode(opcode).name.lower().replace("_", " ")
-        raise BrokenRecordError(f"a {name} record cannot be read ({type(error).__name__}: {error})") from None
+        article = "an" if name.startswith("a") else "a"
+        raise BrokenRecordError(f"{article} {name} record cannot be read ({type(error).__name__}: {error})") from None
 
 
 def record_bytes(record: McapRecord) -> bytes:

@@ -26,6 +26,17 @@ from .records import (
 )
 
 _MAX_FAULTS = 50
+# What may stand in a summary, beside records of others from 128 on.
+_SUMMARY = {
+    *DEFINITIONS,
+    Opcode.STATISTICS,
+    Opcode.CHUNK_INDEX,
+    Opcode.ATTACHMENT_INDEX,
+    Opcode.METADATA_INDEX,
+    Opcode.SUMMARY_OFFSET,
+}
+_PRIVATE = 0x80
+_MAX_RECORD = 1 << 26  # a larger attachment is not taken into memory [bytes]
 
 
 class FileChecker:
@@ -39,6 +50,9 @@ class FileChecker:
         self._places: dict[int, int] = {}  # channel -> offset of its message index, of the last chunk
         self._chunk: tuple[str, ChunkIndex | None] | None = None  # the last one in words, and its entry in the index
         self._chunk_indexes: dict[int, ChunkIndex] = {}
+        # Definitions, (opcode, id): those of the summary, and those met in the data so far.
+        self._repeated: set[tuple[int, int]] = set()
+        self._defined: set[tuple[int, int]] = set()
 
     def messages(self) -> Iterator[ChunkMessage]:
         """Yield the messages in the file's order; `faults` is complete afterwards."""
@@ -68,7 +82,12 @@ class FileChecker:
             yield from self._take_chunk(data[start:end], start - HEAD.size)
         elif opcode == Opcode.MESSAGE_INDEX:
             self._message_index(data[start:end], start - HEAD.size)
+        elif opcode in DEFINITIONS:
+            self._define(opcode, data[start : start + 2])
+        elif opcode == Opcode.ATTACHMENT:
+            self._try_reading(opcode, data, start, end)
         elif opcode == Opcode.MESSAGE:
+            self._expect_definition(data[start : start + 2])
             for message in iter_messages(data[start - HEAD.size : end]):
                 self._count(message)
                 yield message
@@ -83,7 +102,13 @@ class FileChecker:
         except BrokenRecordError as error:
             self._fault(f"{where} is damaged: {error}")
             return
-        places = (start - HEAD.size for opcode, start, _ in iter_records(raw) if opcode == Opcode.MESSAGE)
+        places = []
+        for opcode, start, _ in iter_records(raw):
+            if opcode == Opcode.MESSAGE:
+                places.append(start - HEAD.size)
+                self._expect_definition(raw[start : start + 2])
+            elif opcode in DEFINITIONS:
+                self._define(opcode, raw[start : start + 2])
         for message, place in zip(messages, places, strict=True):
             self._entries.setdefault(message.channel_id, set()).add((message.log_time, place))
             self._count(message)
@@ -107,6 +132,30 @@ class FileChecker:
             known = self.index.schemas if isinstance(record, Schema) else self.index.channels
             if known.get(record.id, record) != record:
                 self._fault(f"{where} defines {type(record).__name__.lower()} {record.id} otherwise than the summary")
+
+    def _try_reading(self, opcode: int, data: FileBytes, start: int, end: int) -> None:
+        """A record that nobody here needs, but readers of others do."""
+        if end - start > _MAX_RECORD:
+            return
+        try:
+            parse_record(opcode, data[start:end])
+        except BrokenRecordError as error:
+            self._fault(f"at byte {start - HEAD.size}, {error}")
+
+    def _define(self, opcode: int, number: bytes) -> None:
+        """Take note of a definition; the summary has to repeat it, where it repeats any."""
+        key = opcode, int.from_bytes(number, "little")
+        if key not in self._defined:
+            self._defined.add(key)
+            if self._repeated and key not in self._repeated:
+                self._fault(f"the summary lacks {Opcode(opcode).name.lower()} {key[1]}: readers do not find it")
+
+    def _expect_definition(self, number: bytes) -> None:
+        """A message has to come behind its channel's definition."""
+        key = Opcode.CHANNEL, int.from_bytes(number, "little")
+        if key not in self._defined:
+            self._defined.add(key)
+            self._fault(f"a message of channel {key[1]} comes before the channel's definition")
 
     def _message_index(self, body: bytes, offset: int) -> None:
         try:
@@ -150,9 +199,17 @@ class FileChecker:
             offsets = footer.summary_offset_start
             if offsets and not footer.summary_start <= offsets <= len(data) - ENDING:
                 self._fault("the footer points outside the summary")
-            for record in read_records(data, {Opcode.CHUNK_INDEX}, footer.summary_start, len(data) - len(MAGIC)):
-                assert isinstance(record, ChunkIndex)
-                self._chunk_indexes[record.chunk_start_offset] = record
+            for opcode, first, last in iter_records(data, footer.summary_start, len(data) - ENDING):
+                if opcode == Opcode.CHUNK_INDEX:
+                    record = parse_record(opcode, data[first:last])
+                    assert isinstance(record, ChunkIndex)
+                    self._chunk_indexes[record.chunk_start_offset] = record
+                elif opcode in DEFINITIONS:
+                    self._repeated.add((opcode, int.from_bytes(data[first : first + 2], "little")))
+                elif opcode == Opcode.ATTACHMENT_INDEX:
+                    self._try_reading(opcode, data, first, last)
+                elif opcode not in _SUMMARY and opcode < _PRIVATE:
+                    self._fault(f"the summary holds a record of opcode {opcode}, which has no place there")
 
     def _fault(self, sentence: str) -> None:
         if len(self.faults) < _MAX_FAULTS:

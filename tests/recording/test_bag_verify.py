@@ -5,12 +5,22 @@ import zlib
 
 import pytest
 from bag_making import START, block_cdr, write_bag
-from mcap.records import ChunkIndex
+from mcap.records import (
+    Attachment,
+    Channel,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    Message,
+    Schema,
+    Statistics,
+)
 from mcap.stream_reader import StreamReader
 
 from squeal_rig.errors import RecordingError
 from squeal_rig.recording import Bag, BagWriter
-from squeal_rig.recording.records import record_bytes
+from squeal_rig.recording.records import MAGIC, record_bytes
 from squeal_rig.recording.verify import verify
 from tests.messages import schema_of, string_cdr
 
@@ -183,3 +193,54 @@ def test_files_that_are_no_mcap_are_no_bag(tmp_path, content):
     for path in (tmp_path / "run", tmp_path / "run" / "run_0.mcap"):
         with pytest.raises(RecordingError, match="is no bag"):
             verify(path)
+
+
+def loose_file(path, records, summary):
+    """A file without chunks: records of the data section, records of the summary, checksums left out."""
+    head = MAGIC + record_bytes(Header(profile="ros2", library="test"))
+    data = head + b"".join(map(record_bytes, records)) + record_bytes(DataEnd(0))
+    told = b"".join(map(record_bytes, summary))
+    footer = record_bytes(Footer(summary_start=len(data), summary_offset_start=0, summary_crc=0))
+    path.write_bytes(data + told + footer + MAGIC)
+
+
+SCHEMA = Schema(id=1, name="std_msgs/msg/String", encoding="ros2msg", data=b"string data")
+CHANNEL = Channel(id=1, topic="/words", message_encoding="cdr", metadata={}, schema_id=1)
+MESSAGE = Message(channel_id=1, log_time=5, publish_time=5, sequence=0, data=string_cdr("a"))
+COUNTS = Statistics(
+    attachment_count=0,
+    channel_count=1,
+    channel_message_counts={1: 1},
+    chunk_count=0,
+    message_count=1,
+    message_end_time=5,
+    message_start_time=5,
+    metadata_count=0,
+    schema_count=1,
+)
+
+
+@pytest.mark.parametrize(
+    ("records", "summary", "words"),
+    [
+        ([SCHEMA, CHANNEL, MESSAGE], [SCHEMA, CHANNEL, COUNTS], None),
+        ([SCHEMA, MESSAGE, CHANNEL], [SCHEMA, CHANNEL, COUNTS], "before the channel's definition"),
+        ([SCHEMA, CHANNEL, MESSAGE], [SCHEMA, COUNTS], "the summary lacks channel 1"),
+        ([SCHEMA, CHANNEL, MESSAGE], [CHANNEL, COUNTS], "the summary lacks schema 1"),
+        ([SCHEMA, CHANNEL, MESSAGE], [SCHEMA, CHANNEL, COUNTS, DataEnd(0)], "opcode 15, which has no place there"),
+    ],
+    ids=["sound", "late channel", "no channel", "no schema", "foreign record"],
+)
+def test_what_readers_of_others_need_in_a_file_is_looked_for(tmp_path, records, summary, words):
+    path = tmp_path / "loose_0.mcap"
+    loose_file(path, records, summary)
+    found = errors(path)
+    assert found == [] if words is None else any(words in sentence for sentence in found), found
+
+
+def test_an_attachment_that_cannot_be_read_is_an_error(tmp_path):
+    path = tmp_path / "loose_0.mcap"
+    note = Attachment(create_time=1, log_time=1, name="note", media_type="text", data=b"x")
+    loose_file(path, [SCHEMA, CHANNEL, MESSAGE, note], [SCHEMA, CHANNEL, COUNTS])
+    path.write_bytes(path.read_bytes().replace(b"note", b"n\xffte"))
+    assert any("an attachment record cannot be read" in sentence for sentence in errors(path))
