@@ -3,6 +3,7 @@
 import math
 import time
 from collections import deque
+from contextlib import contextmanager
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -60,6 +61,7 @@ class Observer:
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
         self._clients = {}
+        self._followed = []
 
     def close(self):
         self.node.destroy_node()
@@ -88,13 +90,14 @@ class Observer:
 
     def wait_for_listeners(self, topic, count, rig="rig"):
         """Wait until the rig itself counts that many listeners to a topic of samples: it loses no block for them."""
-        health = self.follow("/diagnostics")
+        with self.following_for_a_while():
+            health = self.follow("/diagnostics")
 
-        def listeners():
-            found = health_of(health, rig.lstrip("/"))
-            return found and int(found[2][f"listeners to {topic}"]) >= count
+            def listeners():
+                found = health_of(health, rig.lstrip("/"))
+                return found and int(found[2][f"listeners to {topic}"]) >= count
 
-        self.wait_for(listeners, f"{count} listeners to {topic}")
+            self.wait_for(listeners, f"{count} listeners to {topic}")
 
     # --- topics
 
@@ -107,15 +110,29 @@ class Observer:
     def listen(self, topic, take, raw=False):
         """Call `take` with everything that comes on a topic from now on; returns the subscription."""
         kind, profile = _kind_and_profile(topic)
-        return self.node.create_subscription(kind, topic, take, profile, raw=raw)
+        return self._subscribe(kind, topic, take, profile, raw)
 
     def follow_samples(self, topic, depth=1000):
         """Blocks of samples from now on: a deque of (stamp [ns], frame, structured array)."""
         blocks = deque(maxlen=depth)
-        self.node.create_subscription(
-            PointCloud2, topic, lambda data: blocks.append(samples_from_cdr(data)), qos.BLOCKS_IN, raw=True
-        )
+        self._subscribe(PointCloud2, topic, lambda data: blocks.append(samples_from_cdr(data)), qos.BLOCKS_IN, True)
         return blocks
+
+    @contextmanager
+    def following_for_a_while(self):
+        """End what is followed from here on with the block: every subscription makes all others slower."""
+        before = list(self._followed)
+        try:
+            yield
+        finally:
+            for subscription in self._followed[len(before) :]:
+                self.node.destroy_subscription(subscription)
+            self._followed = before
+
+    def _subscribe(self, kind, topic, take, profile, raw):
+        subscription = self.node.create_subscription(kind, topic, take, profile, raw=raw)
+        self._followed.append(subscription)
+        return subscription
 
     def publisher(self, topic):
         """A publisher with the type and the QoS of the rig's own."""
@@ -124,12 +141,9 @@ class Observer:
 
     def first(self, topic, timeout=PATIENCE):
         """The next message of a topic, or the latched one."""
-        messages = []
-        subscription = self.listen(topic, _taken_by(messages))
-        try:
+        with self.following_for_a_while():
+            messages = self.follow(topic)
             return self.wait_for(lambda: messages and messages[-1], f"a message on {topic}", timeout)
-        finally:
-            self.node.destroy_subscription(subscription)
 
     def description(self, rig="rig"):
         """The rig's description as it is latched now."""

@@ -44,7 +44,6 @@ class Bench:
     daq: object = field(repr=False)
     truth: object = field(repr=False)
     windows: object = field(repr=False)
-    friction_samples: object = field(repr=False)
     summaries: object = field(repr=False)
     eigenvalues: object = field(repr=False)
     health: object = field(repr=False)
@@ -91,12 +90,11 @@ def running(compiled, tmp_path_factory, config_file):
             daq=observer.follow_samples("daq/samples"),
             truth=observer.follow_samples("truth/samples"),
             windows=observer.follow_samples("friction/windows"),
-            friction_samples=observer.follow_samples("friction/samples"),
             summaries=observer.follow("stability/summary"),
             eigenvalues=observer.follow("stability/eigenvalues"),
             health=observer.follow("/diagnostics"),
         )
-        for what in ("daq", "truth", "windows", "friction_samples", "summaries", "eigenvalues", "health"):
+        for what in ("daq", "truth", "windows", "summaries", "eigenvalues", "health"):
             observer.wait_for(lambda what=what: getattr(bench, what), what)
         yield bench
         observer.close()
@@ -108,7 +106,8 @@ def bench(running):
     """The running rig, at rest at its stable operating point; paused while no test uses it."""
     running.observer.pause(False)
     running.rest()
-    yield running
+    with running.observer.following_for_a_while():
+        yield running
     dead = [name for name, node in running.nodes.items() if not node.running]
     assert not dead, f"ended during the test: {dead}"
     running.observer.pause(True)
