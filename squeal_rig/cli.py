@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from squeal_rig.errors import SquealRigError
+from squeal_rig.report.terminal import PlainConsole
 
 app = typer.Typer(
     add_completion=False,
@@ -19,9 +19,10 @@ app = typer.Typer(
     rich_markup_mode=None,  # units stand in brackets, which are no markup
     help="A virtual test rig for brake squeal: run it, record it, analyse it.",
 )
-console = Console(markup=False, highlight=False)  # what is told comes from files and messages
+console = PlainConsole()
 
 BagArgument = Annotated[Path, typer.Argument(help="A bag: its folder or its .mcap file.", metavar="BAG")]
+ForceOption = Annotated[bool, typer.Option("--force", help="Overwrite a file that is there.")]
 NO_ROS = "ROS 2 is not installed here: pip install 'squeal_rig[jazzy]', or source a ROS 2 Jazzy installation"
 
 
@@ -78,22 +79,24 @@ def demo(
 def analyse(
     bag: BagArgument,
     picture: Annotated[
-        Path | None, typer.Option(help="PNG to write; report.png in the bag's folder by default.")
+        Path | None, typer.Option(help="PNG, PDF or SVG to write; report.png in the bag's folder by default.")
     ] = None,
+    force: ForceOption = False,
 ) -> None:
     """Friction, squeal frequency against the eigenvalues, time off the belt: a table and a PNG."""
     from squeal_rig.analysis.segments import analyse_bag
-    from squeal_rig.report.run_figure import draw_run
+    from squeal_rig.report.run_figure import check_picture, draw_run
     from squeal_rig.report.tables import segment_table
 
-    analysis = analyse_bag(bag)
     target = picture or (bag if bag.is_dir() else bag.parent) / "report.png"
+    check_picture(target, force)
+    analysis = analyse_bag(bag)
     console.print(segment_table(analysis))
     if analysis.lost_samples:
         console.print(f"lost samples: {analysis.lost_samples}")
     if analysis.restarts:
         console.print(f"the rig was started anew {analysis.restarts} times: the parts are joined end to end")
-    draw_run(analysis, target)
+    draw_run(analysis, target, force)
     console.print(f"picture: {target}")
 
 
@@ -167,7 +170,7 @@ def verify(bag: BagArgument) -> None:
     from squeal_rig.recording.verify import verify as verify_bag
 
     verdict = verify_bag(bag)
-    console.print("\n".join(verdict.sentences()), markup=False, highlight=False)
+    console.print("\n".join(verdict.sentences()))
     raise typer.Exit(0 if verdict.sound else 1)
 
 
@@ -217,11 +220,12 @@ def export(
     to: Annotated[str, typer.Option(help="parquet, csv, hdf5 or wav.")],
     topic: TopicsOption = None,
     column: Annotated[list[str] | None, typer.Option(help="Column; may be given several times.")] = None,
+    force: ForceOption = False,
 ) -> None:
     """Write the samples for other tools: one row a sample, units in the column's metadata."""
     from squeal_rig.samples.export import export_bag
 
-    for file in export_bag(bag, to, out, topic or (), column or ()):
+    for file in export_bag(bag, to, out, topic or (), column or (), force):
         console.print(f"{file.path}: {file.topic}, {file.rows} rows, {file.size / 1e6:.1f} MB")
         if file.note:
             console.print(f"  {file.note}")

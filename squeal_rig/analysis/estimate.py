@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from squeal_rig.configuration.declared import declarations
-from squeal_rig.errors import RecordingError, SquealRigError
+from squeal_rig.errors import DiskError, RecordingError, SquealRigError
 from squeal_rig.estimation.friction_follower import MODEL, MU, SAMPLES, WINDOWS, FrictionFollower, Message
 from squeal_rig.estimation.settings import FrictionSettings
 from squeal_rig.estimation.stability_follower import (
@@ -121,15 +121,14 @@ def estimate_bag(source: str | Path, directory: str | Path) -> EstimateReport:
             if message.topic in live:
                 work.stability.take_recorded(message)
                 continue
-            try:
+            with work.refusing():
                 for block in joiner.take(message):
                     work.take(block)
-            except SquealRigError:
-                work.rejected += 1  # as the live nodes do
             if joiner.rig is not None:
                 work.stability.take_rig(joiner.rig, message.log_time)
         for block in joiner.rest():
-            work.take(block)
+            with work.refusing():
+                work.take(block)
         work.stability.finish()
     took = time.perf_counter() - began
     return EstimateReport(bag.duration, took, counts, work.stability.unexplained, work.rejected)
@@ -187,21 +186,23 @@ class _Estimation:
         """Take the next block."""
         self._friction.take_rig(block.rig)
         messages = self._friction.take_block(block.stamp, block.daq)
-        with self._refusing():
+        with self.refusing():
             self.stability.take_block(InForce.after(block.daq), block.log_time)
         if block.truth is not None:
             messages += self._friction.take_truth(block.truth)
         self._write(messages, block.log_time)
         for name, data in messages:
             if name == WINDOWS:
-                with self._refusing():
+                with self.refusing():
                     self.stability.take_estimate(Estimate.of(block_from_cdr(data, FRICTION_WINDOW_CHANNELS).samples[0]))
 
     @contextmanager
-    def _refusing(self) -> Iterator[None]:
+    def refusing(self) -> Iterator[None]:
         """What a live node refuses and counts is refused and counted."""
         try:
             yield
+        except DiskError:
+            raise
         except SquealRigError:
             self.rejected += 1
 
@@ -222,7 +223,7 @@ class OfflineStability:
         self._rigs: dict[str, RigDescription] = {}
         self._blocks: OrderedDict[str, InForce] = OrderedDict()
         self._windows: OrderedDict[str, Estimate] = OrderedDict()
-        self._pending: deque[tuple[int, int, Any]] = deque()
+        self._pending: deque[tuple[int, int, dict[str, str]]] = deque()
         self.unexplained = 0
 
     def take_rig(self, rig: RigDescription, now: int) -> None:
@@ -251,11 +252,15 @@ class OfflineStability:
         if self._decode is None:
             return
         decoded = self._decode(message.data)
-        if not any(pair.key == DESCRIPTION_KEY for status in decoded.status for pair in status.values):
+        try:
+            causes = {pair.key: pair.value for status in decoded.status for pair in status.values}
+            stamp = decoded.header.stamp.sec * 10**9 + decoded.header.stamp.nanosec
+        except (AttributeError, TypeError):
+            raise RecordingError(f"{message.topic} holds no messages of {ESTIMATED[SUMMARY][0]}.") from None
+        if DESCRIPTION_KEY not in causes:
             self._decode = None  # of a version that named no causes
             return
-        stamp = decoded.header.stamp
-        self._pending.append((message.log_time, stamp.sec * 10**9 + stamp.nanosec, decoded))
+        self._pending.append((message.log_time, stamp, causes))
 
     def finish(self) -> None:
         """Evaluate what still waits."""
@@ -270,9 +275,8 @@ class OfflineStability:
         while self._pending and now - self._pending[0][0] > _PATIENCE:
             self._repeat(*self._pending.popleft())
 
-    def _repeat(self, log_time: int, stamp: int, recorded: Any) -> None:
+    def _repeat(self, log_time: int, stamp: int, causes: dict[str, str]) -> None:
         """Make the summary again that names these causes."""
-        causes = {pair.key: pair.value for status in recorded.status for pair in status.values}
         rig = self._rigs.get(causes.get(DESCRIPTION_KEY, ""))
         in_force = self._blocks.get(causes.get(SAMPLE_KEY, ""))
         estimate = self._windows.get(causes.get(WINDOW_KEY, ""))

@@ -115,7 +115,7 @@ def only_regular(path: str, flags: int) -> int:
     raise OSError(errno.EINVAL, "Not a regular file")
 
 
-def reason_of(error: OSError | ValueError) -> str:
+def reason_of(error: Exception) -> str:
     """Why a file could not be opened or read, in words without its name."""
     if isinstance(error, UnicodeDecodeError):
         return "not UTF-8 text"

@@ -15,7 +15,7 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from squeal_rig.configuration.declared import Declared
-from squeal_rig.errors import RecordingError
+from squeal_rig.errors import RecordingError, printable
 from squeal_rig.graph import qos
 from squeal_rig.graph.conversions import OK, WARN, time_message
 from squeal_rig.graph.health import Health, HealthPublisher
@@ -23,7 +23,7 @@ from squeal_rig.graph.interfaces import message_class, replayed_qos
 from squeal_rig.graph.lifetime import Lifetime, run_node
 from squeal_rig.graph.parameters import NODE_OPTIONS, DeclaredParameters
 from squeal_rig.recording import Bag, RawMessage
-from squeal_rig.recording.replay import Beat, matching_topics, remapped
+from squeal_rig.recording.replay import Beat, check_topic_name, matching_topics, remapped
 from squeal_rig.recording.settings import PlayerSettings
 from squeal_rig.recording.transport import Transport
 
@@ -33,6 +33,7 @@ _CLOCK_PERIOD = 0.01
 _MATCHING = 0.5
 _ACKNOWLEDGE_TIMEOUT = 2.0
 _CLOCK = "/clock"
+_LONGEST_TOLD = 80  # of a name that is none
 
 
 class PlayerNode(Node):
@@ -83,10 +84,12 @@ class PlayerNode(Node):
             try:
                 if topics[topic].serialization_format != "cdr":
                     raise RecordingError(f"it is stored as {topics[topic].serialization_format!r}, not as cdr")
+                check_topic_name(names[topic])
                 kind = message_class(topics[topic].type_name)
             except RecordingError as error:
-                self._skipped[topic] = str(error)
-                self.get_logger().warning(f"{topic} is not played: {error}")
+                name = printable(topic[:_LONGEST_TOLD])
+                self._skipped[name] = str(error)
+                self.get_logger().warning(f"{name} is not played: {error}")
                 continue
             outputs[topic] = self.create_publisher(kind, names[topic], replayed_qos(topics[topic].qos))
         if not outputs:

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from squeal_rig.configuration.files import MAX_FOREIGN_YAML, dump_yaml, parse_yaml_texts, read_text
-from squeal_rig.errors import ConfigurationError, DiskError, RecordingError
+from squeal_rig.configuration.new_files import new_file
+from squeal_rig.errors import ConfigurationError, RecordingError
 
 from .qos_yaml import QosProfile, qos_from_list, qos_from_yaml, qos_to_mapping
 
@@ -112,16 +113,10 @@ def metadata_yaml(metadata: BagMetadata) -> str:
 
 def write_metadata(directory: Path, metadata: BagMetadata) -> None:
     """Write `metadata.yaml` in one step: it is there whole or not at all."""
-    path = directory / METADATA_FILE
-    draft = path.with_suffix(".tmp")
-    try:
-        with open(draft, "w", encoding="utf-8") as stream:
-            stream.write(dump_yaml({_ROOT: metadata_mapping(metadata)}))
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(draft, path)
-    except OSError as error:
-        raise DiskError(f"Cannot write {path}: {error.strerror}.") from None
+    with new_file(directory / METADATA_FILE, force=True) as draft, open(draft, "w", encoding="utf-8") as stream:
+        stream.write(dump_yaml({_ROOT: metadata_mapping(metadata)}))
+        stream.flush()
+        os.fsync(stream.fileno())
 
 
 def read_metadata(directory: Path) -> BagMetadata | None:

@@ -9,6 +9,8 @@ import math
 from collections.abc import Mapping, Sequence
 from struct import pack
 
+from squeal_rig.errors import RecordingError
+
 CDR_HEADER = b"\x00\x01\x00\x00"  # little-endian
 
 
@@ -52,6 +54,14 @@ class CdrWriter:
         self._out += bytes(-len(self._out) % size)
 
 
+def seconds_of(stamp_ns: int) -> tuple[int, int]:
+    """A stamp [ns] as seconds and nanoseconds; RecordingError where a message cannot hold it."""
+    seconds, nanoseconds = divmod(int(stamp_ns), 10**9)
+    if not -(2**31) <= seconds < 2**31:
+        raise RecordingError(f"The stamp is {stamp_ns} ns; it must fit 32-bit seconds.")
+    return seconds, nanoseconds
+
+
 def float64_message(value: float) -> bytes:
     """A std_msgs/Float64."""
     writer = CdrWriter()
@@ -79,7 +89,7 @@ def diagnostics_message(
 ) -> bytes:
     """A diagnostic_msgs/DiagnosticArray; a status is (level, name, message, values), its hardware_id empty."""
     writer = CdrWriter()
-    seconds, nanoseconds = divmod(stamp_ns, 10**9)
+    seconds, nanoseconds = seconds_of(stamp_ns)
     writer.int32(seconds)
     writer.uint32(nanoseconds)
     writer.text(frame_id)

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from squeal_rig.errors import RecordingError
 
-from .cdr import CDR_HEADER, CdrWriter
+from .cdr import CDR_HEADER, CdrWriter, seconds_of
 
 # sensor_msgs/PointField: datatype number -> numpy code
 _CODES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
@@ -80,9 +80,7 @@ def cdr_from_samples(samples: npt.NDArray[Any], stamp_ns: int, frame_id: str = "
 
     Raises RecordingError where a field or the stamp does not fit the message.
     """
-    seconds, nanoseconds = divmod(int(stamp_ns), 1_000_000_000)
-    if not -(2**31) <= seconds < 2**31:
-        raise RecordingError(f"The stamp is {stamp_ns} ns; it must fit 32-bit seconds.")
+    seconds, nanoseconds = seconds_of(stamp_ns)
     if samples.ndim != 1 or samples.dtype.names is None:
         raise RecordingError(f"Samples are a structured array (n,), not {samples.dtype} of shape {samples.shape}.")
     head = CDR_HEADER + _STAMP_LE.pack(seconds, nanoseconds) + _head_after_stamp(samples.dtype, len(samples), frame_id)

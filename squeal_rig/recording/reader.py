@@ -7,6 +7,7 @@ import re
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -91,6 +92,25 @@ class Bag:
     def ending(self) -> str | None:
         """How the recording ended; None where the bag does not say."""
         return self.custom_data.get("ending")
+
+    def time_span(self, topic: str) -> tuple[int, int]:
+        """First and last log time [ns] of a topic, (0, 0) where it has no message: of its first and its last block."""
+        wanted = [_wanted_channels(index, (topic,)) for index in self._indexes]
+        blocks = sorted(
+            ((block.start_time, number, block) for number, index in enumerate(self._indexes) for block in index.blocks),
+            key=itemgetter(0, 1),
+        )
+        ends = []
+        for order, pick in ((blocks, min), (reversed(blocks), max)):
+            for _, number, block in order:
+                if not _may_hold(block, wanted[number], 0, 2**64):
+                    continue
+                with FileBytes(self.files[number]) as data:
+                    times = [message.log_time for message in read_block(data, block, wanted[number])]
+                if times:
+                    ends.append(pick(times))
+                    break
+        return (ends[0], ends[1]) if ends else (0, 0)
 
     def messages(
         self, topics: Collection[str] | None = None, start: int | None = None, end: int | None = None

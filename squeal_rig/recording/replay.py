@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
 from fnmatch import fnmatchcase
 
@@ -10,6 +12,9 @@ from squeal_rig.errors import RecordingError
 
 from .qos_yaml import QosProfile
 from .reader import Bag, RawMessage
+
+_NAME = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
+_LONGEST_NAME = 247  # rmw's bound
 
 
 def matching_topics(topics: Iterable[str], patterns: Sequence[str]) -> list[str]:
@@ -21,6 +26,12 @@ def matching_topics(topics: Iterable[str], patterns: Sequence[str]) -> list[str]
                 chosen.append(topic)
                 break
     return chosen
+
+
+def check_topic_name(name: str) -> None:
+    """Raise RecordingError where a name is none that ROS lets a topic have."""
+    if len(name) > _LONGEST_NAME or not _NAME.fullmatch(name) or "__" in name:
+        raise RecordingError(f"{name[:_LONGEST_NAME]!r} is no name of a ROS topic")
 
 
 def remapped(topics: Collection[str], rules: Sequence[str]) -> dict[str, str]:
@@ -42,9 +53,13 @@ def remapped(topics: Collection[str], rules: Sequence[str]) -> dict[str, str]:
         if not touched:
             raise RecordingError(f"remap {rule!r} matches no topic that is played.")
         names |= {topic: new + topic[len(old) :] for topic in touched}
-    for name in names.values():
-        if sum(other == name for other in names.values()) > 1:
-            raise RecordingError(f"remap puts several topics under the name {name}.")
+        try:
+            check_topic_name(names[touched[0]])
+        except RecordingError as error:
+            raise RecordingError(f"remap {rule!r} cannot be: {error}") from None
+    name, count = Counter(names.values()).most_common(1)[0] if names else ("", 0)
+    if count > 1:
+        raise RecordingError(f"remap puts several topics under the name {name}.")
     return names
 
 

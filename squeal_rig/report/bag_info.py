@@ -6,7 +6,6 @@ from datetime import datetime, timezone
 from pathlib import Path
 
 from rich.console import Group, RenderableType
-from rich.markup import escape
 from rich.table import Table
 
 from squeal_rig.recording import Bag
@@ -39,30 +38,37 @@ def sample_counts(bag: Bag) -> dict[str, SampleCount]:
 
 
 def _facts(bag: Bag) -> Table:
-    facts = Table(title=f"Bag {escape(str(bag.path))}", title_justify="left", show_header=False)
+    facts = Table(title=f"Bag {bag.path}", title_justify="left", show_header=False)
     facts.add_column(style="bold")
     facts.add_column()
     size = sum(file.stat().st_size for file in bag.files)
     facts.add_row("files", f"{len(bag.files)}, {size / 1e6:.2f} MB")
-    start = datetime.fromtimestamp(bag.start_time * 1e-9, timezone.utc)
-    facts.add_row("start", f"{start:%Y-%m-%d %H:%M:%S} UTC")
+    facts.add_row("start", _moment(bag.start_time))
     facts.add_row("duration", f"{bag.duration:.3f} s")
     facts.add_row("messages", str(bag.message_count))
-    facts.add_row("ended", escape(bag.ending or "the bag does not say"))
+    facts.add_row("ended", bag.ending or "the bag does not say")
     for key, value in bag.custom_data.items():
         if key != "ending":
-            facts.add_row(escape(key), escape(str(value)))
+            facts.add_row(key, value)
     records = bag.metadata_records
     nodes = sorted({record.values.get("node", "") for record in records if record.name == AT_START})
     if nodes:
-        facts.add_row("parameters of", escape(", ".join(nodes)))
+        facts.add_row("parameters of", ", ".join(nodes))
     changes = sum(record.name == CHANGE for record in records)
     facts.add_row("parameter changes", str(changes))
     for record in records:
         if record.name == "snapshot":
             values = record.values
-            facts.add_row("snapshot", escape(f"{values.get('reason', '')}, {values.get('seconds', '?')} s"))
+            facts.add_row("snapshot", f"{values.get('reason', '')}, {values.get('seconds', '?')} s")
     return facts
+
+
+def _moment(time: int) -> str:
+    """A time [ns] for people; as it is where their calendar ends."""
+    try:
+        return f"{datetime.fromtimestamp(time * 1e-9, timezone.utc):%Y-%m-%d %H:%M:%S} UTC"
+    except (ValueError, OverflowError, OSError):
+        return f"{time} ns"
 
 
 def _topics(bag: Bag) -> Table:
@@ -70,7 +76,8 @@ def _topics(bag: Bag) -> Table:
     for column, justify in (("topic", "left"), ("type", "left"), ("messages", "right"), ("rate [Hz]", "right")):
         topics.add_column(column, justify=justify)  # type: ignore[arg-type]
     for name, topic in sorted(bag.topics.items()):
-        rate = f"{topic.message_count / bag.duration:.1f}" if bag.duration > 0.0 else "-"
+        begin, end = bag.time_span(name)
+        rate = f"{(topic.message_count - 1) / (end - begin) * 1e9:.1f}" if end > begin else "-"
         topics.add_row(name, topic.type_name, str(topic.message_count), rate)
     return topics
 

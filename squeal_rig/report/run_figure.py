@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 
 from squeal_rig.analysis.segments import Analysis, Segment
+from squeal_rig.configuration.new_files import check_free, new_file
+from squeal_rig.errors import RecordingError
 from squeal_rig.estimation.spectra import REFERENCE
 
 _QUIET, _SQUEAL, _LAW = "#4d4d4d", "#b2182b", "#2166ac"
@@ -16,8 +18,23 @@ _TOP_FREQUENCY = 5000.0
 _LOWEST_LEVEL = -80.0
 
 
-def draw_run(analysis: Analysis, path: Path) -> None:
-    """Write a PNG: operating point, displacement, friction, squeal level, time off the belt, spectra."""
+PICTURES = (".png", ".pdf", ".svg")
+
+
+def check_picture(path: Path, force: bool = False) -> None:
+    """Raise RecordingError where a name ends with none of `PICTURES`, or is taken and not to be overwritten."""
+    if path.suffix not in PICTURES:
+        raise RecordingError(f"The picture is {str(path)!r}; its name must end with one of {', '.join(PICTURES)}.")
+    check_free(path, force)
+
+
+def draw_run(analysis: Analysis, path: Path, force: bool = False) -> None:
+    """Write a picture: operating point, displacement, friction, squeal level, time off the belt, spectra.
+
+    Raises:
+        RecordingError: as `check_picture`, or it cannot be written.
+    """
+    check_picture(path, force)
     import matplotlib
 
     matplotlib.use("Agg")
@@ -40,7 +57,8 @@ def draw_run(analysis: Analysis, path: Path) -> None:
         x=0.01,
         ha="left",
     )
-    figure.savefig(path, dpi=110)
+    with new_file(path, force) as draft:
+        figure.savefig(draft, dpi=110, format=path.suffix[1:])
     plt.close(figure)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from rich.markup import escape
 from rich.table import Table
 
 from squeal_rig.analysis.segments import Analysis, segment_rows
@@ -18,12 +17,12 @@ _FORMS |= {"off belt [s]": ".2f", "off belt share": ".3f"}
 def segment_table(analysis: Analysis) -> Table:
     """The operating points of a run, one row each, columns turned into rows so that it fits a terminal."""
     rows = list(segment_rows(analysis))
-    table = Table(title=f"Operating points of {escape(analysis.title)}", title_justify="left")
+    table = Table(title=f"Operating points of {analysis.title}", title_justify="left")
     table.add_column("")
     for number in range(1, len(rows) + 1):
         table.add_column(str(number), justify="right")
     for name in rows[0] if rows else ():
-        table.add_row(escape(name), *(_cell(name, row[name]) for row in rows))
+        table.add_row(name, *(_cell(name, row[name]) for row in rows))
     return table
 
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 from squeal_rig.errors import RecordingError
 from squeal_rig.instruments.channels import DAQ_CHANNELS, TRUTH_CHANNELS, block_from_cdr
 from squeal_rig.instruments.description import RigDescription
-from squeal_rig.recording import Bag, RawMessage, as_mapping, decoder_of
+from squeal_rig.recording import Bag, RawMessage, decoder_of
+from squeal_rig.recording.gaps import CLOUD_TYPE
 
 _MAX_TRUTHS = 16
 DESCRIPTION, DAQ, TRUTH = "rig/description", "daq/samples", "truth/samples"
@@ -43,6 +44,19 @@ def rig_topic(bag: Bag, name: str) -> str | None:
     return found[0] if found else None
 
 
+def text_reader(bag: Bag, topic: str) -> Callable[[bytes], str]:
+    """A function from the messages of a topic to their texts; RecordingError, also from it, where they hold none."""
+    decode = decoder_of(bag.topics[topic].schema)
+
+    def read(data: bytes) -> str:
+        text = getattr(decode(data), "data", None)
+        if not isinstance(text, str):
+            raise RecordingError(f"{bag.path}: {topic} is {bag.topics[topic].type_name}, which holds no text.")
+        return text
+
+    return read
+
+
 class BlockJoiner:
     """Joins `daq/samples` with `truth/samples` by `seq`, message by message, in bounded memory."""
 
@@ -52,7 +66,11 @@ class BlockJoiner:
         for name in (DESCRIPTION, DAQ):
             if self.topics[name] is None:
                 raise RecordingError(f"{bag.path} has no topic {name}: not a recording of the rig")
-        self._decode = decoder_of(bag.topics[self.topics[DESCRIPTION]].schema)  # type: ignore[index]
+        for name in (DAQ, TRUTH):
+            topic = bag.topics.get(str(self.topics[name]))
+            if topic is not None and topic.type_name != CLOUD_TYPE:
+                raise RecordingError(f"{bag.path}: {topic.name} is {topic.type_name}, not {CLOUD_TYPE}")
+        self._text = text_reader(bag, str(self.topics[DESCRIPTION]))
         self.rig: RigDescription | None = None
         self._waiting: list[tuple[int, Any, int]] = []
         self._truths: dict[int, Any] = {}
@@ -65,10 +83,12 @@ class BlockJoiner:
     def take(self, message: RawMessage) -> Iterator[RecordedBlock]:
         """Take the next message of one of `names`; yields the blocks that are whole now."""
         if message.topic == self.topics[DESCRIPTION]:
-            self.rig = RigDescription.from_yaml(as_mapping(self._decode(message.data))["data"])
+            self.rig = RigDescription.from_yaml(self._text(message.data))
             return
         channels = TRUTH_CHANNELS if message.topic == self.topics[TRUTH] else DAQ_CHANNELS
         stamp, _, samples = block_from_cdr(message.data, channels)
+        if samples["seq"].dtype.kind not in "ui":
+            raise RecordingError(f"{message.topic} numbers its samples in {samples['seq'].dtype}, not in whole numbers")
         if message.topic == self.topics[TRUTH]:
             self._truths[int(samples["seq"][0])] = samples
         else:

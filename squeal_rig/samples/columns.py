@@ -28,6 +28,7 @@ _TABLES = {
 #: The first column: stamp of the sample's block.
 STAMP = "stamp"
 PIECE_ROWS = 1 << 17
+_MAX_COLUMNS = 2048
 
 Column = NDArray[Any]
 Columns = dict[str, Column]
@@ -96,10 +97,15 @@ class SampleColumns:
         self._dtype = block.samples.dtype
         every = [ColumnInfo(STAMP, np.dtype(np.int64), "ns", "stamp of the block: time of its first sample")]
         every += _infos(self.topic, self._dtype)
-        missing = [name for name in columns if name not in {info.name for info in every}]
+        names = [info.name for info in every]
+        if len(names) > _MAX_COLUMNS:
+            raise RecordingError(f"{self.topic} has {len(names)} columns; at most {_MAX_COLUMNS} are taken.")
+        if len(set(names)) < len(names):
+            twice = next(name for name in names if names.count(name) > 1)
+            raise RecordingError(f"{self.topic} would have two columns {twice!r}.")
+        missing = [name for name in columns if name not in names]
         if missing:
-            names = ", ".join(info.name for info in every)
-            raise RecordingError(f"{self.topic} has no column {missing[0]!r}; it has {names}.")
+            raise RecordingError(f"{self.topic} has no column {missing[0]!r}; it has {', '.join(names)}.")
         self.infos = [info for info in every if not columns or info.name in columns]
 
     def pieces(self, rows: int = PIECE_ROWS) -> Iterator[Columns]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import csv
 import json
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from squeal_rig.errors import RecordingError
-from squeal_rig.recording import Bag, as_mapping, decoder_of
-from squeal_rig.samples.blocks import DESCRIPTION, rig_topic
+from squeal_rig.configuration.new_files import new_file
+from squeal_rig.errors import RecordingError, printable
+from squeal_rig.recording import Bag
+from squeal_rig.samples.blocks import DESCRIPTION, rig_topic, text_reader
 from squeal_rig.samples.columns import STAMP, SampleColumns, sample_topics
 from squeal_rig.samples.frames import arrow_schema, needed
 from squeal_rig.samples.wav import write_wav
@@ -35,12 +36,17 @@ class Exported:
 
 
 def export_bag(
-    source: str | Path, form: str, out: str | Path, topics: Sequence[str] = (), columns: Sequence[str] = ()
+    source: str | Path,
+    form: str,
+    out: str | Path,
+    topics: Sequence[str] = (),
+    columns: Sequence[str] = (),
+    force: bool = False,
 ) -> list[Exported]:
     """Write the samples of a bag's topics (all that carry samples; `daq/samples` for WAV) in a format of `FORMATS`.
 
     `out` is a folder, with one file a topic; or, where its name has the format's ending, the file of the one topic.
-    HDF5 holds all topics in one file, a group each. Nothing is overwritten.
+    HDF5 holds all topics in one file, a group each. Only with `force` a file is overwritten.
 
     Raises:
         RecordingError: format, topic or column is not known, a file exists, a package is missing, the bag is damaged.
@@ -55,7 +61,8 @@ def export_bag(
     ending = _ENDINGS[form]
     if form == "hdf5":
         path = out if out.suffix in (ending, ".hdf5") else out / f"{bag.path.stem}{ending}"
-        return _whole(path, lambda draft: _write_hdf5(draft, path, chosen))
+        with new_file(path, force) as draft:
+            return _write_hdf5(draft, path, chosen)
     if out.suffix == ending and len(chosen) > 1:
         raise RecordingError(f"{out} is one file, and there are {len(chosen)} topics: choose one, or give a folder.")
     write: Callable[[Path, SampleColumns], tuple[int, str]] = {
@@ -63,16 +70,20 @@ def export_bag(
         "csv": _write_csv,
         "wav": _write_wav,
     }[form]
+    paths = [out if out.suffix == ending else out / (_file_name(samples.topic) + ending) for samples in chosen]
+    twice = next((path for path in paths if paths.count(path) > 1), None)
+    if twice is not None:
+        raise RecordingError(f"Several topics would be written to {twice}: choose one at a time.")
     exported = []
-    for samples in chosen:
-        path = out if out.suffix == ending else out / (samples.topic.strip("/").replace("/", "_") + ending)
-
-        def one(draft: Path, samples: SampleColumns = samples, path: Path = path) -> list[Exported]:
+    for samples, path in zip(chosen, paths, strict=True):
+        with new_file(path, force) as draft:
             rows, note = write(draft, samples)
-            return [Exported(path, samples.topic, rows, draft.stat().st_size, note)]
-
-        exported += _whole(path, one)
+            exported.append(Exported(path, samples.topic, rows, draft.stat().st_size, note))
     return exported
+
+
+def _file_name(topic: str) -> str:
+    return printable(topic.strip("/").replace("/", "_"))
 
 
 def facts_of(samples: SampleColumns) -> dict[str, str]:
@@ -82,8 +93,8 @@ def facts_of(samples: SampleColumns) -> dict[str, str]:
     facts["provenance"] = json.dumps(dict(bag.custom_data))
     topic = rig_topic(bag, DESCRIPTION)
     if topic is not None:
-        decode = decoder_of(bag.topics[topic].schema)
-        told = [{"log_time": m.log_time, "yaml": as_mapping(decode(m.data))["data"]} for m in bag.messages([topic])]
+        read = text_reader(bag, topic)
+        told = [{"log_time": m.log_time, "yaml": read(m.data)} for m in bag.messages([topic])]
         facts["descriptions"] = json.dumps(told)
     return facts
 
@@ -92,22 +103,6 @@ def _columns_for(form: str, columns: Sequence[str]) -> Sequence[str]:
     if form == "wav":
         return (*(columns or _WAV_COLUMNS), "seq")
     return (STAMP, *columns) if columns else ()
-
-
-def _whole(path: Path, write: Callable[[Path], list[Exported]]) -> list[Exported]:
-    """Write a file under another name first: it is there whole or not at all."""
-    if path.exists():
-        raise RecordingError(f"{path} exists already.")
-    draft = path.with_name(path.name + ".part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        exported = write(draft)
-        os.replace(draft, path)
-    except OSError as error:
-        raise RecordingError(f"Cannot write {path}: {error.strerror or error}.") from None
-    finally:
-        draft.unlink(missing_ok=True)
-    return exported
 
 
 def _write_parquet(path: Path, samples: SampleColumns) -> tuple[int, str]:
@@ -132,7 +127,7 @@ def _write_parquet(path: Path, samples: SampleColumns) -> tuple[int, str]:
 def _write_csv(path: Path, samples: SampleColumns) -> tuple[int, str]:
     rows = 0
     with open(path, "w", encoding="utf-8", newline="") as stream:
-        stream.write(",".join(info.title for info in samples.infos) + "\n")
+        csv.writer(stream, lineterminator="\n").writerow([info.title for info in samples.infos])
         for piece in samples.pieces(1 << 14):
             # repr of a float is the shortest text that reads back bit for bit
             columns = [map(repr, piece[info.name].tolist()) for info in samples.infos]
@@ -147,18 +142,30 @@ def _write_hdf5(draft: Path, path: Path, chosen: Sequence[SampleColumns]) -> lis
     counts: list[int] = []
     with h5py.File(draft, "w") as file:
         for samples in chosen:
-            group = file.create_group(samples.topic)
-            for key, value in facts_of(samples).items():
-                # an attribute ends at 64 kB; long texts are datasets beside the columns
-                group.create_dataset(f"_{key}", data=value)
-            for info in samples.infos:
-                dataset = group.create_dataset(
-                    info.name, (0,), info.dtype, maxshape=(None,), chunks=(1 << 14,), compression="lzf", shuffle=True
-                )
-                dataset.attrs["unit"], dataset.attrs["description"] = info.unit, info.description
+            group = _hdf5_group(file, samples)
             counts.append(_append_hdf5(group, samples))
     size = draft.stat().st_size
     return [Exported(path, samples.topic, rows, size) for samples, rows in zip(chosen, counts, strict=True)]
+
+
+def _hdf5_group(file: Any, samples: SampleColumns) -> Any:
+    """A group with an empty dataset for each column, and what the samples should say about themselves beside them."""
+    odd = next((info.name for info in samples.infos if "/" in info.name or info.name in (".", "..")), None)
+    if odd is not None:
+        raise RecordingError(f"{samples.topic} has a column {odd!r}, which no dataset of HDF5 can be named.")
+    try:
+        group = file.create_group(samples.topic)
+    except TypeError:  # h5py's, where the topic is named as another one's column
+        raise RecordingError(f"{samples.topic} cannot be a group of HDF5: a column has its name.") from None
+    for key, value in facts_of(samples).items():
+        # an attribute ends at 64 kB; long texts are datasets beside the columns
+        group.create_dataset(f"_{key}", data=value)
+    for info in samples.infos:
+        dataset = group.create_dataset(
+            info.name, (0,), info.dtype, maxshape=(None,), chunks=(1 << 14,), compression="lzf", shuffle=True
+        )
+        dataset.attrs["unit"], dataset.attrs["description"] = info.unit, info.description
+    return group
 
 
 def _append_hdf5(group: Any, samples: SampleColumns) -> int:

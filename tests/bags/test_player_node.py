@@ -5,9 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from squeal_rig.recording import Bag
+from squeal_rig.recording import Bag, BagWriter, QosProfile
 from tests.graph.processes import Processes, parameters
 from tests.graph.statuses import health_of
+from tests.messages import schema_of, string_cdr
 
 from .full_load import CLOUDS, SMALL, published, start_load
 
@@ -119,6 +120,7 @@ def test_a_bag_written_by_rosbags_plays_under_another_name(processes, observer, 
         ({"topics": ["nothing"]}, "no topic"),
         ({"start_offset": 1000.0}, "behind the bag's end"),
         ({"remap": ["nonsense"]}, "is no rule"),
+        ({"remap": ["/daq/samples:=/1st__place/ö"]}, "'/1st__place/ö' is no name of a ROS topic"),
     ],
 )
 def test_bad_input_ends_the_player_with_a_sentence(processes, recorded, settings, sentence):
@@ -126,3 +128,26 @@ def test_bad_input_ends_the_player_with_a_sentence(processes, recorded, settings
     assert player.wait() == 2
     assert sentence in player.errors
     assert "Traceback" not in player.errors
+
+
+ODD_NAMES = ("/[/x]", "/\x1b[2J", "/a b", "//a", "/a/", "/1st", "/a__b", "/ö", "/a\0b", "/" + "x" * 5000, "/")
+
+
+def test_topics_of_names_that_ros_has_not_are_left_out_and_named(processes, observer, tmp_path):
+    from std_msgs.msg import String
+
+    text = schema_of("std_msgs/msg/String")
+    with BagWriter(tmp_path / "run") as writer:
+        for topic in (*ODD_NAMES, "/words"):
+            deep = [QosProfile(depth=2**31 - 1)]
+            handle = writer.add_topic(topic, text.type_name, deep, schema=text)
+            writer.write(handle, string_cdr("word"), 10**18, 10**18)
+    heard = []
+    observer.node.create_subscription(String, "/words", lambda message: heard.append(message.data), 10)
+    settings = parameters(bag=tmp_path / "run", topics=["*", "/*"], wait_for_subscribers=15.0)
+    player = processes.node("player", *settings)
+    observer.wait_for(lambda: heard == ["word"], "the word")
+    assert observer.wait_for_end(player) == 0
+    assert "Traceback" not in player.errors
+    assert "\x1b[2J" not in player.errors + player.output
+    assert (player.errors + player.output).count("is no name of a ROS topic") == len(ODD_NAMES)

@@ -198,7 +198,7 @@ def test_topics_are_played_under_other_names(rules, names):
     assert remapped(["/daq/samples", "/x"], rules) == names
 
 
-@pytest.mark.parametrize("rule", ["/x", "x:=/y", "/x:=y", "/x:=/y/", "/no:=/y", "/x:=/daq/samples"])
+@pytest.mark.parametrize("rule", ["/x", "x:=/y", "/x:=y", "/x:=/y/", "/no:=/y", "/x:=/daq/samples", "/x:=/1"])
 def test_a_rule_that_means_nothing_is_refused(rule):
     with pytest.raises(RecordingError, match="remap"):
         remapped(["/daq/samples", "/x"], [rule])

@@ -136,7 +136,7 @@ def run_reproduction(preset: str, folder: Path, console: Console) -> None:
         page = write_results(results, folder)
         bar.update(task, description="done")
     for number, statement in enumerate(results.statements(), 1):
-        console.print(f"{number}. {statement.text} [bold]{statement.verdict}[/bold]: {statement.evidence}")
+        console.print(f"{number}. {statement.text} {statement.verdict}: {statement.evidence}")
     console.print(f"page: {page}")
 
 
