@@ -34,16 +34,9 @@ demo: .venv/.ready
 reproduce: .venv/.ready
 	.venv/bin/squeal-rig reproduce $(ARGS)
 
-# What computes runs on two cores; what starts ROS graphs runs by itself: it takes both.
-GRAPHS := tests/nodes tests/system tests/bags
-
+# Two at once: what starts ROS graphs mostly waits, each module on a ROS domain of its own.
 test: .venv/.ready
-ifeq ($(ARGS),)
-	$(PY) -m pytest -n 2 --dist loadfile $(addprefix --ignore=,$(GRAPHS))
-	$(PY) -m pytest $(GRAPHS)
-else
-	$(PY) -m pytest $(ARGS)
-endif
+	$(PY) -m pytest $(or $(ARGS),-n 2 --dist loadfile)
 
 # One command after another and one graph, so that a deadline is one of the input and not of the machine.
 fuzz: .venv/.ready
