@@ -7,7 +7,7 @@ ARGS ?=
 # How long the fuzz suite runs.
 MINUTES ?= 2
 
-.PHONY: help demo reproduce test fuzz lint bench bench-bags docs evidence clean
+.PHONY: help demo reproduce test test-slow fuzz lint bench bench-bags docs evidence clean
 .DEFAULT_GOAL := help
 
 # A ROS installation or another environment around us would mix its libraries with ours.
@@ -18,6 +18,7 @@ help:
 	@echo "make demo       run the rig from quiet sliding into squeal; leaves a bag and a picture in bags/"
 	@echo "make reproduce  the paper's figures and tables beside its numbers; leaves reproduction/"
 	@echo "make test       run the tests (ARGS: options for pytest)"
+	@echo "make test-slow  what starts and ends processes many times: signals, sessions that are gone, rigs of one name"
 	@echo "make fuzz       inputs that nobody means well, for two minutes (MINUTES=30: for longer); fuzz_findings/ has what it finds"
 	@echo "make lint       check style, types and imports"
 	@echo "make bench      measure speed against peers, and the live node; writes docs/benchmarks.md"
@@ -37,6 +38,9 @@ reproduce: .venv/.ready
 # Two at once: what starts ROS graphs mostly waits, each module on a ROS domain of its own.
 test: .venv/.ready
 	$(PY) -m pytest $(or $(ARGS),-n 2 --dist loadfile)
+
+test-slow: .venv/.ready
+	$(PY) -m pytest -m slow -n 2 --dist loadfile $(ARGS)
 
 # One command after another and one graph, so that a deadline is one of the input and not of the machine.
 fuzz: .venv/.ready

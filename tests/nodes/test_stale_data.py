@@ -9,6 +9,8 @@ from tests.graph.statuses import health_of
 
 pytest.importorskip("rclpy")
 
+pytestmark = pytest.mark.slow
+
 CONSUMERS = ("friction_estimator", "stability", "squeal_detector")
 STALE = 3
 

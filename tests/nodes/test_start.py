@@ -11,6 +11,8 @@ from tests.made_bag import write_squeal
 
 pytest.importorskip("rclpy")
 
+pytestmark = pytest.mark.slow
+
 _PLANTED = "import pathlib\npathlib.Path({mark!r}).touch()\nraise RuntimeError('planted')\n"
 
 

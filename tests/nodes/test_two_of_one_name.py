@@ -8,6 +8,8 @@ from tests.graph.processes import parameters
 
 pytest.importorskip("rclpy")
 
+pytestmark = pytest.mark.slow
+
 
 def test_a_second_rig_of_one_name_is_refused_and_the_first_goes_on(compiled, processes, observer):
     first = processes.node("simulator")

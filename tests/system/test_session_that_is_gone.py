@@ -12,6 +12,8 @@ from tests.graph import PATIENCE
 
 pytest.importorskip("rclpy")
 
+pytestmark = pytest.mark.slow
+
 NODES = {"simulator", "friction_estimator", "stability", "squeal_detector", "recorder"}
 
 
