@@ -8,6 +8,7 @@ from pathlib import Path
 from .gaps import SampleCount
 
 _MAX_FINDINGS = 200
+_MAX_NAMED = 5
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ class Recovery:
     messages saved, of them `unproved` without a checksum in the file; chunks saved and damaged; `lost` messages that
     the numbering or the summary shows to be missing; `lost_seconds` [s] between intact pieces with damage in between;
     `closed` whether every file had its ending; `unread_bytes` behind the last intact piece of files without one;
-    `files_within` other MCAP files found inside.
+    `files_within` other MCAP files found inside; `missing_files` names of files that the folder lacks.
     """
 
     messages: int = 0
@@ -80,12 +81,13 @@ class Recovery:
     refused: dict[str, int] = field(default_factory=dict)  # reason -> messages
     lost_records: int = 0
     files_within: int = 0
+    missing_files: list[str] = field(default_factory=list)
 
     @property
     def complete(self) -> bool:
         """Whether nothing is known to be lost."""
-        lacks = self.lost or self.damaged_chunks or self.refused or self.unread_bytes or self.files_within
-        return self.closed and not lacks
+        left_out = self.refused or self.files_within or self.missing_files
+        return self.closed and not (self.lost or self.damaged_chunks or self.unread_bytes or left_out)
 
     def sentences(self) -> list[str]:
         """What to tell the user."""
@@ -108,5 +110,8 @@ class Recovery:
             told.append(f"{self.lost_records} damaged metadata records were left out")
         if self.files_within:
             told.append(f"{self.files_within} MCAP files inside the files (attached, or in a message) were left out")
+        if self.missing_files:
+            few = ", ".join(self.missing_files[:_MAX_NAMED])
+            told.append(f"{len(self.missing_files)} files of the bag are not there ({few}): what was in them is lost")
         told += [f"{count} messages were left out: {reason}" for reason, count in self.refused.items()]
         return told

@@ -24,6 +24,7 @@ from .schemas import MessageSchema
 from .sealed import PROVENANCE, unsealed
 
 _MAX_WAITING = 1 << 30
+_MAX_FILES = 100_000  # a higher number is no count of files
 
 
 class RawMessage(NamedTuple):
@@ -174,6 +175,25 @@ def find_files(path: Path) -> tuple[Path, ...]:
     if not files:
         raise RecordingError(f"{path} is not a bag: it holds neither {METADATA_FILE} nor an MCAP file.")
     return tuple(files)
+
+
+def missing_files(directory: Path) -> list[str]:
+    """Names of files that a bag's folder lacks, by metadata.yaml or, where that is not there, by the files' numbers."""
+    there = {path.name for path in directory.glob("*.mcap")}
+    try:
+        metadata = read_metadata(directory)
+    except RecordingError:
+        metadata = None
+    if metadata is not None:
+        return [path.name for path in paths_of(metadata.files, directory) if path.name not in there]
+    numbered = [re.fullmatch(r"(.*_)(\d+)\.mcap", name) for name in there]
+    stems = {match[1] for match in numbered if match}
+    if len(stems) != 1 or None in numbered:
+        return []
+    last = max(int(match[2]) for match in numbered if match)
+    if last > _MAX_FILES:
+        return []
+    return [name for number in range(last) if (name := f"{min(stems)}{number}.mcap") not in there]
 
 
 def _file_number(path: Path) -> int:

@@ -12,7 +12,7 @@ from .bag_metadata import custom_data_of
 from .chunks import ChunkMessage, iter_messages
 from .findings import Recovery
 from .qos_yaml import qos_from_yaml
-from .reader import find_files
+from .reader import find_files, missing_files
 from .records import take_definitions
 from .salvage import Damaged, Salvage, Salvaged
 from .schemas import MessageSchema, full_type_name
@@ -33,6 +33,7 @@ def recover(source: str | Path, directory: str | Path) -> Recovery:
         for path in paths:
             rescue.take_file(path)
         report = rescue.report
+        report.missing_files = missing_files(Path(source)) if Path(source).is_dir() else []
         if rescue.writer is None:
             raise RecordingError(f"{source} holds no intact chunk: nothing can be recovered.")
         rescue.writer.add_custom_data(_custom_data(rescue, report))

@@ -84,13 +84,15 @@ class FileChecker:
             self._message_index(data[start:end], start - HEAD.size)
         elif opcode in DEFINITIONS:
             self._define(opcode, data[start : start + 2])
-        elif opcode == Opcode.ATTACHMENT:
+        elif opcode in (Opcode.ATTACHMENT, Opcode.METADATA):
             self._try_reading(opcode, data, start, end)
         elif opcode == Opcode.MESSAGE:
             self._expect_definition(data[start : start + 2])
             for message in iter_messages(data[start - HEAD.size : end]):
                 self._count(message)
                 yield message
+        elif opcode < _PRIVATE and (opcode != Opcode.HEADER or start != len(MAGIC) + HEAD.size):
+            self._fault(f"at byte {start - HEAD.size}, a record of opcode {opcode} has no place among the data")
 
     def _take_chunk(self, body: bytes, offset: int) -> Iterator[ChunkMessage]:
         where = f"the chunk at byte {offset}"

@@ -17,6 +17,7 @@ from mcap.records import (
     Statistics,
 )
 from mcap.stream_reader import StreamReader
+from mcap.writer import Writer
 
 from squeal_rig.errors import RecordingError
 from squeal_rig.recording import Bag, BagWriter
@@ -244,3 +245,18 @@ def test_an_attachment_that_cannot_be_read_is_an_error(tmp_path):
     loose_file(path, [SCHEMA, CHANNEL, MESSAGE, note], [SCHEMA, CHANNEL, COUNTS])
     path.write_bytes(path.read_bytes().replace(b"note", b"n\xffte"))
     assert any("an attachment record cannot be read" in sentence for sentence in errors(path))
+
+
+def test_a_record_that_has_no_place_among_the_data_is_an_error(tmp_path):
+    """An attachment of which one bit was flipped, in a file without a checksum: readers from front to back stumble."""
+    path = tmp_path / "odd_0.mcap"
+    with open(path, "wb") as stream:
+        writer = Writer(stream, enable_crcs=False)
+        writer.start("ros2", "another recorder")
+        writer.add_attachment(START, START, "note.txt", "text/plain", b"a note")
+        writer.finish()
+    assert verify(path).sound
+    data = bytearray(path.read_bytes())
+    data[data.index(b"note.txt") - 4 - 16 - 9] ^= 9 ^ 10
+    path.write_bytes(data)
+    assert any("a record of opcode 10 has no place among the data" in told for told in errors(path))

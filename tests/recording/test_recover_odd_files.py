@@ -140,3 +140,20 @@ def test_what_was_refused_of_one_file_is_not_taken_from_what_is_lost_of_the_next
     report = recover(folder, tmp_path / "out")
     assert sum(report.refused.values()) == 30
     assert report.lost == len(sent) - report.messages > 0
+
+
+@pytest.mark.parametrize("metadata", [True, False])
+@pytest.mark.parametrize("lost", [0, 1, "last"])
+def test_files_that_a_folder_lacks_are_named(tmp_path, lost, metadata):
+    """Every other file is whole; of the last one, only metadata.yaml knows."""
+    write_bag(tmp_path / "run", max_file_size=100_000)
+    count = len(list((tmp_path / "run").glob("*.mcap")))
+    name = f"run_{count - 1 if lost == 'last' else lost}.mcap"
+    (tmp_path / "run" / name).unlink()
+    if not metadata:
+        (tmp_path / "run" / "metadata.yaml").unlink()
+    report = recover(tmp_path / "run", tmp_path / "out")
+    known = metadata or lost != "last"
+    assert report.missing_files == ([name] if known else [])
+    assert report.complete != known
+    assert any(name in told for told in report.sentences()) == known
