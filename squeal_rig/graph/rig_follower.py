@@ -29,6 +29,8 @@ from squeal_rig.model.parameters import RigParameters
 
 _RIG_NODE = "rig"
 _DAQ = "daq/samples"
+#: Value of a follower's health: how long no samples came although somebody offers them.
+UNSERVED = "unserved [s]"
 _NUMBERS = [channel.name for channel in DAQ_CHANNELS if channel.code == "<f8"]
 # Time without samples [s] after which a node that needs them is stale.
 _LIMIT = 1.0
@@ -173,8 +175,9 @@ class RigFollower:
         }
         new = {name: count - self._told.get(name, 0) for name, count in counts.items()}
         self._told = counts
+        unserved = time.monotonic() - self._last_block if self._tries and self._last_block is not None else 0.0
         level, sentence = self._judged(new)
-        return level, sentence, {**values, **counts}
+        return level, sentence, {**values, **counts, UNSERVED: round(unserved, 1)}
 
     def _judged(self, new: Mapping[str, int]) -> tuple[bytes, str]:
         if self._refusal:

@@ -8,6 +8,8 @@ from tests.graph.statuses import health_of
 
 pytest.importorskip("rclpy")
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
 CONSUMERS = ("friction_estimator", "stability", "squeal_detector")
 OK = 0
 
@@ -25,16 +27,36 @@ def test_consumers_that_were_frozen_tell_their_losses_and_recover(compiled, proc
 
     for name in CONSUMERS:
         observer.wait_for(lambda name=name: well(name), f"{name} well", 60.0)
-    for _ in range(3):
+    for _ in range(6):
         for node in nodes.values():
             node.send(signal.SIGSTOP)
-        observer.spin(4.0)
+        observer.spin(3.0)
         health.clear()
         for node in nodes.values():
             node.send(signal.SIGCONT)
         for name in CONSUMERS:
-            observer.wait_for(lambda name=name: well(name), f"{name} well again", 20.0)
-    # Four seconds are more than the queues hold: three times some were lost, and told.
+            observer.wait_for(lambda name=name: well(name), f"{name} well again", 40.0)
+    # Three seconds are more than the rig keeps for them: some were lost each time, and told.
     for name in CONSUMERS:
         assert int(health_of(health, name)[2]["lost samples"]) > 0, name
     assert [node.end()[0] for node in nodes.values()] == [0, 0, 0]
+    processes.end_all()
+
+
+def test_a_rig_whose_samples_do_not_arrive_publishes_them_anew(compiled, processes, observer):
+    rig = processes.node("simulator")
+    health, publisher = observer.follow("/diagnostics"), observer.publisher("/diagnostics")
+    blocks = observer.follow_samples("daq/samples")
+    observer.wait_for(lambda: blocks, "samples", 60.0)
+
+    def renewals():
+        publisher.publish(DiagnosticArray(status=[told]))
+        observer.spin(0.2)  # a flood of ours would drown what the rig says
+        state = health_of(health, "rig")
+        return state and int(state[2]["publishers made anew"])
+
+    told = DiagnosticStatus(name="stability", values=[KeyValue(key="unserved [s]", value="7.5")])
+    observer.wait_for(renewals, "publishers made anew")
+    blocks.clear()
+    observer.wait_for(lambda: len(blocks) > 10, "samples of the new publisher")
+    assert rig.end()[0] == 0
