@@ -14,6 +14,7 @@ CONSUMERS = ("friction_estimator", "stability", "squeal_detector")
 OK = 0
 
 
+@pytest.mark.slow
 def test_consumers_that_were_frozen_tell_their_losses_and_recover(compiled, processes, observer, config_file):
     files = ["--params-file", str(config_file)]
     nodes = {name: processes.node(name, *files) for name in CONSUMERS}
