@@ -10,11 +10,11 @@ pytest.importorskip("rclpy")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
+pytestmark = pytest.mark.slow
 CONSUMERS = ("friction_estimator", "stability", "squeal_detector")
 OK = 0
 
 
-@pytest.mark.slow
 def test_consumers_that_were_frozen_tell_their_losses_and_recover(compiled, processes, observer, config_file):
     files = ["--params-file", str(config_file)]
     nodes = {name: processes.node(name, *files) for name in CONSUMERS}
