@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from squeal_rig.model.cycles.cycle import SquealCycle, squeal_cycle
     from squeal_rig.model.cycles.hits import BasinShare, Hit, basin_share, smallest_hit
     from squeal_rig.model.cycles.safe import safe_hit
+    from squeal_rig.model.cycles.zone_map import ZoneMap, zone_map
     from squeal_rig.model.cycles.zones import Zone, zone
     from squeal_rig.model.linear.eigen import (
         StabilityReport,
@@ -45,6 +46,7 @@ _HOMES = {
     "StabilityReport": "linear.eigen",
     "Trajectory": "motion.trajectory",
     "Zone": "cycles.zones",
+    "ZoneMap": "cycles.zone_map",
     "basin_share": "cycles.hits",
     "contact_events": "motion.contact",
     "critical_pad_stiffness": "linear.eigen",
@@ -68,6 +70,7 @@ _HOMES = {
     "stability_report": "linear.eigen",
     "state_derivative": "core.forces",
     "zone": "cycles.zones",
+    "zone_map": "cycles.zone_map",
 }
 
 __all__ = [
@@ -85,6 +88,7 @@ __all__ = [
     "StabilityReport",
     "Trajectory",
     "Zone",
+    "ZoneMap",
     "basin_share",
     "contact_events",
     "critical_pad_stiffness",
@@ -108,6 +112,7 @@ __all__ = [
     "stability_report",
     "state_derivative",
     "zone",
+    "zone_map",
 ]
 
 

@@ -10,9 +10,9 @@ import numpy as np
 from squeal_rig.model.core.layout import L_PRE
 from squeal_rig.model.core.statics import FOUND, rest_position
 from squeal_rig.model.cycles.path import PAD_STIFFNESS, Path
-from squeal_rig.model.cycles.shooting import Orbit, Shooter
+from squeal_rig.model.cycles.shooting import PERIOD, Orbit, Shooter
 from squeal_rig.model.cycles.threshold import flutter_friction, flutter_stiffness, threshold_mode
-from squeal_rig.model.cycles.tracing import FOLD, Trace, trace
+from squeal_rig.model.cycles.tracing import COARSE, FOLD, Trace, trace
 
 # Share of the touching amplitude at which a branch is begun.
 _BEGIN = 0.97
@@ -72,7 +72,7 @@ def hard_branch(path: Path, low: float, high: float) -> HardBranch:
     if path.field == PAD_STIFFNESS:
         low = max(low, min(_SOFTEST * threshold, path.value))
     unknowns, mode = threshold_mode(path, threshold, _BEGIN)
-    shooter = shooter_at(path, threshold, unknowns[3], abs(threshold))
+    shooter = shooter_at(path, threshold, float(unknowns[PERIOD]), abs(threshold))
     tangent = mode / shooter.scale
     tangent /= np.linalg.norm(tangent)
     start, _ = shooter.close(unknowns, tangent)
@@ -104,8 +104,12 @@ def hard_branch(path: Path, low: float, high: float) -> HardBranch:
         inside = (folds[0].orbit.parameter - value) * (threshold - folds[0].orbit.parameter) <= 0.0
         return branch.squeal is not None or not inside
 
-    found = trace(shooter, start, tangent, low, high, _POINTS, passed)
+    found = trace(shooter, start, tangent, low, high, _POINTS, COARSE, passed)
     branch.found = found
+    if branch.squeal is not None:
+        branch.squeal = shooter.on_section(branch.squeal)
+    if branch.separatrix is not None:
+        branch.separatrix = shooter.on_section(branch.separatrix)
     folds = [s.orbit for s in found.specials if s.kind == FOLD]
     if folds:
         branch.fold_orbit = folds[0]

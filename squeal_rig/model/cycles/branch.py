@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +18,7 @@ from squeal_rig.model.cycles.border import hard_branch, shooter_at
 from squeal_rig.model.cycles.cycle import SquealCycle, cycle_of, squeal_cycle
 from squeal_rig.model.cycles.path import PAD_STIFFNESS, Path, refuse_what_has_no_cycles
 from squeal_rig.model.cycles.shooting import PARAMETER, PERIOD, Orbit, Shooter
-from squeal_rig.model.cycles.tracing import BOUND, CLOSED, FLUTTER, FOLD, Trace, fold_near, trace
+from squeal_rig.model.cycles.tracing import CLOSED, FINE, FOLD, Trace, fold_near, trace
 from squeal_rig.model.parameters import RigParameters
 
 _POINTS = 1000
@@ -78,7 +79,7 @@ class Branch:
     points: NDArray[np.void]
     specials: tuple[SpecialPoint, ...]
     ends: tuple[BranchEnd, BranchEnd]
-    _path: Path = field(repr=False, compare=False)
+    _path: Path = dataclasses.field(repr=False, compare=False)
 
     @property
     def folds(self) -> tuple[SpecialPoint, ...]:
@@ -123,25 +124,24 @@ def follow_cycle(
     if not cycle.found:
         raise ModelError(f"there is no cycle to follow: {cycle.sentence}")
     shooter, start, tangent = _started(path, cycle)
-    forth = trace(shooter, start, tangent, low, high, points)
+    forth = trace(shooter, start, tangent, low, high, points, FINE)
     back = Trace([start], [], CLOSED, forth.sentence)
     if forth.end != CLOSED:
         start.tangent = None
-        back = trace(shooter, start, -tangent, low, high, points)
-    return _branch_of(path, back, forth)
+        back = trace(shooter, start, -tangent, low, high, points, FINE)
+    return _branch_of(shooter, back, forth)
 
 
 def _started(path: Path, cycle: SquealCycle) -> tuple[Shooter, Orbit, Vector]:
     """A shooter in the units of a cycle, its orbit, and the branch's direction towards larger values."""
-    x, y, _, vy = cycle.state
-    unknowns = np.array([x, y, vy, cycle.period, path.value])
+    unknowns = np.array([*cycle.state, cycle.period, path.value])
     shooter = shooter_at(path, path.value, cycle.period, max(abs(path.value), 1e-30))
     orbit = shooter.close_at(unknowns, path.value)
     if orbit is None:
         raise ModelError(f"the cycle at {cycle.frequency:.6g} Hz is none of this rig: it does not close")
-    up = np.array([0.0, 0.0, 0.0, 0.0, 1.0])
+    up = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
     tangent = shooter.tangent(orbit, up)
-    if tangent is not None and path.value == 0.0 or tangent is not None and abs(tangent[PARAMETER]) < 1e-6:
+    if tangent is not None and (path.value == 0.0 or abs(tangent[PARAMETER]) < 1e-6):
         # A field at zero has no scale of its own: that change of it which changes the cycle by its own size.
         shooter = shooter_at(path, path.value, cycle.period, _own_span(shooter, tangent))
         orbit = shooter.close_at(unknowns, path.value)
@@ -153,15 +153,15 @@ def _started(path: Path, cycle: SquealCycle) -> tuple[Shooter, Orbit, Vector]:
 
 
 def _own_span(shooter: Shooter, tangent: Vector) -> float:
-    motion = float(np.linalg.norm(tangent[:4]))
+    motion = float(np.linalg.norm(tangent[:PARAMETER]))
     return float(shooter.scale[PARAMETER] * abs(tangent[PARAMETER]) / motion) if motion > 0.0 else 1.0
 
 
-def _branch_of(path: Path, back: Trace, forth: Trace) -> Branch:
-    orbits = [*reversed(back.orbits[1:]), *forth.orbits]
+def _branch_of(shooter: Shooter, back: Trace, forth: Trace) -> Branch:
+    path, orbits = shooter.path, [*reversed(back.orbits[1:]), *forth.orbits]
     points = np.empty(len(orbits), dtype=POINT)
     for point, orbit in zip(points, orbits, strict=True):
-        _fill(point, path, orbit)
+        _fill(point, shooter, orbit)
     specials = [*reversed(back.specials), *forth.specials]
     ends = tuple(
         BranchEnd(part.end, part.sentence, part.orbits[-1].parameter, 1.0 / part.orbits[-1].period)
@@ -171,7 +171,9 @@ def _branch_of(path: Path, back: Trace, forth: Trace) -> Branch:
         path.field,
         points,
         tuple(
-            SpecialPoint(s.kind, s.orbit.parameter, 1.0 / s.orbit.period, s.orbit.multipliers, s.orbit.state)
+            SpecialPoint(
+                s.kind, s.orbit.parameter, 1.0 / s.orbit.period, s.orbit.multipliers, shooter.on_section(s.orbit).state
+            )
             for s in specials
         ),
         (ends[0], ends[1]),
@@ -179,17 +181,21 @@ def _branch_of(path: Path, back: Trace, forth: Trace) -> Branch:
     )
 
 
-def _fill(point: np.void, path: Path, orbit: Orbit) -> None:
+def _fill(point: np.void, shooter: Shooter, orbit: Orbit) -> None:
+    path = shooter.path
     point["parameter"], point["frequency"] = orbit.parameter, 1.0 / orbit.period
     point["peak_x"], point["peak_y"] = orbit.tally[flow.PEAK_X], orbit.tally[flow.PEAK_Y]
     point["off_belt_share"], point["largest_multiplier"] = orbit.off_belt_share, orbit.largest
-    point["stable"], point["state"], point["multipliers"] = orbit.stable, orbit.state, orbit.multipliers
+    point["stable"], point["state"], point["multipliers"] = (
+        orbit.stable,
+        shooter.on_section(orbit).state,
+        orbit.multipliers,
+    )
     point["flow_error"], point["volume_error"] = orbit.flow_error, orbit.volume_error(path.packed(orbit.parameter))
 
 
 def _unknowns(point: np.void) -> Vector:
-    x, y, _, vy = point["state"]
-    return np.array([x, y, vy, 1.0 / point["frequency"], point["parameter"]])
+    return np.array([*point["state"], 1.0 / point["frequency"], point["parameter"]])
 
 
 @dataclass(frozen=True)
@@ -262,7 +268,7 @@ def _first_fold(path: Path) -> tuple[tuple[Shooter, Orbit] | None, str]:
         return None, f"no cycle to follow in {path.field}: {cycle.sentence}"
     shooter, start, tangent = _started(path, cycle)
     for way in (tangent, -tangent):
-        found = trace(shooter, start, way, path.lower, path.upper, _POINTS, lambda t: bool(_folds(t)))
+        found = trace(shooter, start, way, path.lower, path.upper, _POINTS, FINE, lambda t: bool(_folds(t)))
         for orbit in _folds(found):
             return (shooter, orbit), ""
     return None, f"the branch in {path.field} has no fold within its bounds"
@@ -284,7 +290,7 @@ def _carried(
     path = Path(across.rig(value), name)
     # Close by, the motion scales with u about the place where the contact spring is at rest.
     new = _shooter_of(path, orbit, float(shooter.scale[PARAMETER]))
-    found = fold_near(new, _rescaled(orbit, last, new, across, at))
+    found = fold_near(new, _rescaled(orbit, shooter, new))
     if found is not None:
         return new, found
     middle = 0.5 * (at + value)
@@ -294,24 +300,14 @@ def _carried(
     return None if half is None else _carried(across, name, (*half, middle), value, halvings - 1)
 
 
-def _rescaled(orbit: Orbit, last: tuple[Shooter, Orbit, float], new: Shooter, across: Path, at: float) -> Orbit:
+def _rescaled(orbit: Orbit, shooter: Shooter, new: Shooter) -> Orbit:
     """The orbit moved to the new equilibrium and scaled by u: exact for linear arms where only u changes."""
-    shooter = last[0]
-    before = np.array([*_rest(shooter.path, orbit.parameter), 0.0])
-    after = np.array([*_rest(new.path, orbit.parameter), 0.0])
-    ratio = new.scale[:3] / shooter.scale[:3]
+    before = np.array([*_rest(shooter.path, orbit.parameter), 0.0, 0.0])
+    after = np.array([*_rest(new.path, orbit.parameter), 0.0, 0.0])
+    ratio = new.scale[:4] / shooter.scale[:4]
     moved = orbit.unknowns.copy()
-    moved[:3] = after + (moved[:3] - before) * ratio
-    return Orbit(
-        moved,
-        orbit.state,
-        orbit.closing,
-        orbit.jacobian,
-        orbit.monodromy,
-        orbit.along,
-        orbit.tally,
-        tangent=orbit.tangent,
-    )
+    moved[:4] = after + (moved[:4] - before) * ratio
+    return dataclasses.replace(orbit, unknowns=moved)
 
 
 def _rest(path: Path, value: float) -> tuple[float, float]:

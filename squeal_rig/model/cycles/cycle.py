@@ -14,7 +14,7 @@ from squeal_rig.model.core.statics import equilibrium
 from squeal_rig.model.cycles import flow
 from squeal_rig.model.cycles.border import hard_branch, shooter_at
 from squeal_rig.model.cycles.path import Path, refuse_what_has_no_cycles
-from squeal_rig.model.cycles.shooting import PERIOD, Orbit, Shooter
+from squeal_rig.model.cycles.shooting import PERIOD, UNKNOWNS, Orbit, Shooter
 from squeal_rig.model.cycles.threshold import growth
 from squeal_rig.model.cycles.verdict import LEFT, QUIET, judge
 from squeal_rig.model.motion.propagator import fastest_rate
@@ -43,8 +43,8 @@ _SAMPLES_PER_PERIOD = 48
 class SquealCycle:
     """A cycle in which the pad leaves the belt, or the reason why there is none.
 
-    - ending: one of "found", "dies out", "period longer than one", "quasi-periodic", "left every bound"; and a sentence.
-      Without a cycle every number is nan and the arrays are empty.
+    - ending: one of "found", "dies out", "period longer than one", "quasi-periodic", "left every bound"; and a
+      sentence. Without a cycle every number is nan and the arrays are empty.
     - period [s], frequency [Hz]; state (4,) x, y, vx, vy [m, m/s] at the maximum of x, where vx = 0
     - states (n, 4) at times (n,) [s] over one period, from that state on
     - multipliers: complex (4,), 1 and those of the return map, the largest first; stable where these are all below 1
@@ -107,9 +107,8 @@ def squeal_cycle(p: RigParameters, start: SquealCycle | ArrayLike | None = None)
     if isinstance(start, SquealCycle):
         if not start.found:
             return squeal_cycle(p)
-        shooter = shooter_at(path, path.value, start.period, 1.0)
-        x, y, _, vy = start.state
-        orbit = shooter.close_at(np.array([x, y, vy, start.period, path.value]), path.value)
+        guess = np.array([*start.state, start.period, path.value])
+        orbit = shooter_at(path, path.value, start.period, 1.0).close_at(guess, path.value)
         if orbit is not None and orbit.separates:
             return cycle_of(path, orbit)
         return _settled(path, start.state)
@@ -126,8 +125,7 @@ def cycle_of(path: Path, orbit: Orbit) -> SquealCycle:
     """The public record of a closed orbit, its states computed anew."""
     shooter = shooter_at(path, orbit.parameter, orbit.period, 1.0)
     states = np.empty((_STATES, 4))
-    again = shooter.orbit(orbit.unknowns, measure=True, path=states)
-    assert again is not None
+    again = shooter.on_section(orbit, states)
     q = path.packed(orbit.parameter)
     period = orbit.period
     samples = np.zeros((_STATES, SAMPLE_SIZE))
@@ -139,9 +137,9 @@ def cycle_of(path: Path, orbit: Orbit) -> SquealCycle:
         f"a {kind} cycle at {1.0 / period:.6g} Hz, off the belt for {100.0 * again.off_belt_share:.4g} % of its period",
         period,
         1.0 / period,
-        again.state,
+        np.array(again.state),
         states,
-        period / _STATES * np.arange(_STATES),
+        np.arange(_STATES, dtype=np.float64) * (period / _STATES),
         again.multipliers,
         again.stable,
         again.off_belt_share,
@@ -156,12 +154,12 @@ def cycle_of(path: Path, orbit: Orbit) -> SquealCycle:
 
 def _passages(path: Path, state: Vector, count: int) -> tuple[Shooter | None, Vector]:
     """A shooter in the units of the motion from a state, and its next passages of the section as unknowns
-    (count - 1, 5) with the time to the one after; None where it does not come round.
+    (count, 6) with the time to the one after; None where it does not come round.
     """
     q = path.packed(path.value)
     rate = fastest_rate(q)
     z, v, w = state.copy(), np.zeros((4, flow.COLUMNS)), np.zeros((flow.ROWS, flow.ORDER + 1))
-    rows, latest = np.empty((count, 5)), 100.0 / rate
+    rows, latest = np.empty((count, UNKNOWNS)), 100.0 / rate
     for i in range(count + 1):
         took = flow.to_section(z, v, q, flow.RATE_TIMES_STEP / rate, latest, w, np.zeros(flow.TALLY_SIZE))
         if not took <= latest:
@@ -169,7 +167,7 @@ def _passages(path: Path, state: Vector, count: int) -> tuple[Shooter | None, Ve
         if i > 0:
             rows[i - 1, PERIOD] = took
         if i < count:
-            rows[i] = z[0], z[1], z[3], 0.0, path.value
+            rows[i] = z[0], z[1], z[2], z[3], 0.0, path.value
     return shooter_at(path, path.value, float(rows[0, PERIOD]), 1.0), rows
 
 
@@ -178,7 +176,7 @@ def _closed_near(shooter: Shooter, guess: Vector, value: float) -> Orbit | None:
     orbit = shooter.close_at(guess, value)
     if orbit is None:
         return None
-    size = float(np.abs(guess[:3] / shooter.scale[:3]).max())
+    size = float(np.abs(guess[:4] / shooter.scale[:4]).max())
     moved = float(np.abs((orbit.unknowns - guess) / shooter.scale).max())
     return orbit if moved <= _NEAR * max(size, 1.0) else None
 
@@ -216,7 +214,9 @@ def _settled(path: Path, state: Vector) -> SquealCycle:
             for turns in (1, 2, 3):
                 orbit = _closed_near(shooter, _joined(path, state, turns), path.value)
                 if orbit is not None and orbit.stable and orbit.separates:
-                    if turns > 1 and orbit.tally[flow.EVENTS] >= 2.0 * turns:
+                    orbit = _shortest(shooter, orbit, turns)
+                    several = orbit.period > 1.5 * float(passages[0, PERIOD])
+                    if several and orbit.tally[flow.EVENTS] >= 2.0 * turns:
                         return SquealCycle(
                             LONGER, f"the motion repeats after {turns} turns, at {turns / orbit.period:.6g} Hz"
                         )
@@ -225,10 +225,20 @@ def _settled(path: Path, state: Vector) -> SquealCycle:
     return _irregular(path, state)
 
 
+def _shortest(shooter: Shooter, orbit: Orbit, turns: int) -> Orbit:
+    """The orbit of one turn, where one of several is that repeated."""
+    once = orbit.unknowns.copy()
+    once[PERIOD] /= turns
+    single = shooter.orbit(once) if turns > 1 else None
+    if single is not None and float(np.abs(single.closing).max()) < 1e-6:
+        return shooter.close_at(once, orbit.parameter) or orbit
+    return orbit
+
+
 def _joined(path: Path, state: Vector, turns: int) -> Vector:
     """The next passage of the section as a guess of an orbit that takes a number of turns."""
     _, rows = _passages(path, state, turns + 1)
-    guess = rows[0].copy()
+    guess = np.array(rows[0])
     guess[PERIOD] = rows[:turns, PERIOD].sum()
     return guess
 
@@ -239,7 +249,7 @@ def _irregular(path: Path, state: Vector) -> SquealCycle:
     if shooter is None:
         x, y = equilibrium(path.p)
         return SquealCycle(DIES_OUT, f"the motion no longer turns about ({x:.4g}, {y:.4g}) m")
-    points = rows[:, :3] / shooter.scale[:3]
+    points = rows[:, :4] / shooter.scale[:4]
     size = max(1.0, float(np.ptp(points, axis=0).max()))
     for turns in range(2, _LONGEST_PERIOD + 1):
         if float(np.abs(points[turns:] - points[:-turns]).max()) <= _RETURN * size:
@@ -247,6 +257,6 @@ def _irregular(path: Path, state: Vector) -> SquealCycle:
             return SquealCycle(LONGER, f"the motion repeats after {turns} turns, at {mean:.6g} Hz each")
     return SquealCycle(
         QUASI_PERIODIC,
-        f"the motion stays and does not repeat within {_LONGEST_PERIOD} turns: a torus, an irregular motion, or a transient"
-        " too slow to wait for",
+        f"the motion stays and does not repeat within {_LONGEST_PERIOD} turns: a torus, an irregular motion, or a"
+        " transient too slow to wait for",
     )

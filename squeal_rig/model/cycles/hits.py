@@ -16,7 +16,7 @@ from squeal_rig.model.core.statics import equilibrium
 from squeal_rig.model.cycles.path import Path, refuse_what_has_no_cycles
 from squeal_rig.model.cycles.threshold import growth
 from squeal_rig.model.cycles.verdict import LEFT, OUTLASTS, QUIET, SENTENCES, SETTLES, Judge, judge
-from squeal_rig.model.cycles.zones import Located, located
+from squeal_rig.model.cycles.zones import Located, cycles_of
 from squeal_rig.model.parameters import RigParameters
 
 # Scan: step in unit impulses m omega u up to the first crossing, factor between hits beyond it.
@@ -36,8 +36,8 @@ class Hit:
     """The smallest hit at rest that starts lasting squeal. Impulses in N s, directions in rad from the belt's, -pi/2
     towards the belt.
 
-    - impulse, direction: `impulse` is the larger end of the bracket; 0 where the rig squeals by itself, nan where no hit
-      up to `upper_bound` starts squeal
+    - impulse, direction: `impulse` is the larger end of the bracket; 0 where the rig squeals by itself, nan where no
+      hit up to `upper_bound` starts squeal
     - bracket: the largest that was seen to die out below it, and the smallest seen to squeal
     - scan_step, upper_bound: hits were tried in steps of `scan_step` up to the first that squeals or `upper_bound`;
       squeal in a range of impulses narrower than a step can be missed
@@ -93,14 +93,13 @@ def smallest_hit(
     if growth(path.packed(path.value)) >= 0.0:
         way = 0.0 if direction is None else direction
         return Hit(0.0, way, (0.0, 0.0), 0.0, 0.0, (), (), "the rig squeals by itself: its equilibrium is unstable")
-    at = located(p) if known is None else known
-    judged = judge(p, at.squeal, at.separatrix)
+    judged = judge(p, *(cycles_of(p) if known is None else (known.squeal, known.separatrix)))
     unit = judged.unit_impulse
     step = _SCAN_STEP * unit if scan_step is None else scan_step
     top = _UPPER_BOUND * unit if upper_bound is None else upper_bound
     search = _Search(judged, step, top, tolerance)
     if direction is None:
-        angles = np.arange(_DIRECTIONS) * (2.0 * math.pi / _DIRECTIONS) - math.pi
+        angles = np.arange(_DIRECTIONS, dtype=np.float64) * (2.0 * math.pi / _DIRECTIONS) - math.pi
         crossing = search.first(angles)
         if crossing is not None:
             crossing = search.best_near(crossing, 2.0 * math.pi / _DIRECTIONS)
@@ -256,8 +255,8 @@ def basin_share(
 
     Args:
         p: parameters.
-        region: half the width of the box of starts about the equilibrium: one number in units u for x and y, u omega for
-            vx and vy; or lower and upper bounds (4, 2) of x, y, vx, vy relative to the equilibrium [m, m/s].
+        region: half the width of the box of starts about the equilibrium: one number in units u for x and y, u omega
+            for vx and vy; or lower and upper bounds (4, 2) of x, y, vx, vy relative to the equilibrium [m, m/s].
         samples: how many starts, uniform in the box.
         seed: of the starts; sample i is the same whatever the number of threads.
         threads: how many work at once; one a core when None.
@@ -272,8 +271,7 @@ def basin_share(
         raise ParameterError(f"samples = {samples} is out of bounds: it must be 1 to 10000000")
     if threads is not None and threads < 1:
         raise ParameterError(f"threads = {threads} is out of bounds: it must be 1 or more")
-    at = located(p)
-    judged = judge(p, at.squeal, at.separatrix)
+    judged = judge(p, *cycles_of(p))
     box = _box(region, judged)
     starts = judged.rest + box[:, 0] + np.random.default_rng(seed).random((samples, 4)) * (box[:, 1] - box[:, 0])
     with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:

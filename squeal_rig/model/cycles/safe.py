@@ -22,7 +22,6 @@ import math
 
 import numpy as np
 
-from squeal_rig.errors import ModelError
 from squeal_rig.model.core.forces import jacobian_of
 from squeal_rig.model.core.kernel import kernel
 from squeal_rig.model.core.layout import Vector, pack

@@ -95,7 +95,7 @@ def flutter_stiffness(path: Path) -> tuple[float, float]:
 
 
 def threshold_mode(path: Path, value: float, amplitude: float) -> tuple[Vector, Vector]:
-    """The linear mode at a threshold as unknowns (5,) of `Shooter`, and their change with the amplitude.
+    """The linear mode at a threshold as unknowns (6,) of `Shooter`, and their change with the amplitude.
 
     `amplitude` is a share of the one at which the pad just touches separation.
     """
@@ -108,6 +108,6 @@ def threshold_mode(path: Path, value: float, amplitude: float) -> tuple[Vector, 
         v = v.conj()
     v = v / v[0] * abs(v[0])  # x has its maximum at t = 0
     v *= (q[L_PRE] - y) / abs(v[1])
-    mode = np.array([v[0].real, v[1].real, v[3].real, 0.0, 0.0])
-    start = np.array([x, y, 0.0, 2.0 * math.pi / omega, value])
+    mode = np.array([v[0].real, v[1].real, 0.0, v[3].real, 0.0, 0.0])
+    start = np.array([x, y, 0.0, 0.0, 2.0 * math.pi / omega, value])
     return start + amplitude * mode, mode

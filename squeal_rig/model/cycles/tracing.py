@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from squeal_rig.model.core.layout import Vector
+from squeal_rig.model.core.layout import L_PRE, Vector
+from squeal_rig.model.cycles import flow
 from squeal_rig.model.cycles.shooting import PARAMETER, Orbit, Shooter
 from squeal_rig.model.cycles.threshold import growth
 
@@ -16,7 +17,15 @@ from squeal_rig.model.cycles.threshold import growth
 FLUTTER, BOUND, GRAZING, LOST, CLOSED = "flutter threshold", "bound", "grazing", "lost", "closed"
 #: Kinds of special points.
 FOLD, PERIOD_DOUBLING, NEIMARK_SACKER = "fold", "period doubling", "Neimark-Sacker"
-_FIRST_STEP, _SHORTEST, _LONGEST = 0.03, 1e-5, 0.5
+_FIRST_STEP, _SHORTEST = 0.05, 1e-6
+#: Longest step of a branch that is to be shown: wiggles of its own size are not stepped over. And of one whose border
+#: alone is asked for.
+FINE, COARSE = 0.2, 0.5
+# Share of the longest step that is taken at a fold, and of the steepest slope along the parameter below which steps
+# get shorter.
+_SLOWEST, _STEEP = 0.4, 0.3
+# Across a special point no step is longer than this.
+_CROSSING = 0.15
 # Of the angle between two tangents the cosine may not fall below this: else the step is halved.
 _STRAIGHT = 0.9
 _REFINEMENTS = 30
@@ -51,26 +60,35 @@ def trace(
     low: float,
     high: float,
     points: int,
+    longest: float,
     until: Callable[[Trace], bool] | None = None,
 ) -> Trace:
-    """Follow the branch from a closed orbit along a tangent (5,) in scaled units.
+    """Follow the branch from a closed orbit along a tangent (6,) in scaled units.
 
     Args:
         low, high: bounds of the parameter; the branch ends on them.
         points: at most.
+        longest: step, in scaled units.
         until: asked after each point; True ends the branch there.
     """
     start.tangent = tangent
     found = Trace([start])
-    step = _FIRST_STEP
+    step, before = _FIRST_STEP, 0.0
     left = start.separates
-    origin, away = start.unknowns / shooter.scale, False
+    origin, away, steepest = start.unknowns / shooter.scale, False, abs(fold_test(start))
     while len(found.orbits) < points:
         last = found.orbits[-1]
         row = last.tangent
         assert row is not None
-        guess = last.unknowns + step * row * shooter.scale
-        orbit, iterations = shooter.close(guess, row)
+        # Slower where the branch is about to turn round: two folds close together are not stepped over.
+        steepest = max(steepest, abs(fold_test(last)))
+        if steepest > 0.0:
+            step = min(step, longest * max(_SLOWEST, min(1.0, abs(fold_test(last)) / (_STEEP * steepest))))
+        ahead = step * row
+        if before > 0.0:
+            bend = row - _tangent_of(found.orbits[-2])
+            ahead = ahead + 0.5 * step * (step / before) * bend
+        orbit, iterations = shooter.close(last.unknowns + ahead * shooter.scale, row)
         new = shooter.tangent(orbit, row) if orbit is not None else None
         if orbit is None or new is None or not float(new @ row) > _STRAIGHT:
             step *= 0.5
@@ -82,6 +100,10 @@ def trace(
                 return found
             continue
         orbit.tangent = new
+        chord = float(np.linalg.norm((orbit.unknowns - last.unknowns) / shooter.scale))
+        if chord > _CROSSING and step > _CROSSING and _crosses(last, orbit):
+            step = _CROSSING
+            continue
         if not low <= orbit.parameter <= high:
             bound = low if orbit.parameter < low else high
             at_bound = shooter.close_at(_between(last, orbit, bound), bound)
@@ -91,13 +113,17 @@ def trace(
                     _add(found, at_bound, shooter)
             found.end, found.sentence = BOUND, f"the branch reaches {shooter.path.field} = {bound:.6g}, its bound"
             return found
+        if left and not orbit.separates and not _nearly_touches(orbit, shooter) and step > _SHORTEST:
+            step *= 0.5  # it fell through to a smaller motion, or to rest
+            continue
         _add(found, orbit, shooter)
+        before = chord
         left = left or orbit.separates
         if left and not orbit.separates:
             found.end, found.sentence = _linear_end(shooter, orbit)
             return found
         distance = float(np.linalg.norm(orbit.unknowns / shooter.scale - origin))
-        away = away or distance > 3.0 * _LONGEST
+        away = away or distance > 3.0 * longest
         if away and distance < 0.6 * step and float(new @ start.tangent) > _STRAIGHT:
             found.end, found.sentence = CLOSED, "the branch comes back to where it began"
             return found
@@ -105,11 +131,22 @@ def trace(
             found.sentence = "the branch was followed as far as was asked"
             return found
         if iterations <= 3:
-            step = min(1.6 * step, _LONGEST)
+            step = min(1.8 * step, longest)
         elif iterations >= 5:
             step *= 0.6
     found.sentence = f"the branch goes on after {points} points"
     return found
+
+
+def _tangent_of(orbit: Orbit) -> Vector:
+    assert orbit.tangent is not None
+    return orbit.tangent
+
+
+def _nearly_touches(orbit: Orbit, shooter: Shooter) -> bool:
+    """Whether a motion that stays on the belt comes more than half way to leaving it."""
+    edge, rest = shooter.path.packed(orbit.parameter)[L_PRE], orbit.tally[flow.Y0]
+    return bool(orbit.tally[flow.HIGHEST] - rest > 0.5 * (edge - rest))
 
 
 def _between(first: Orbit, second: Orbit, value: float) -> Vector:
@@ -130,14 +167,19 @@ def _linear_end(shooter: Shooter, orbit: Orbit) -> tuple[str, str]:
 def _add(found: Trace, orbit: Orbit, shooter: Shooter) -> None:
     """Add a point, and what lies between it and the last one."""
     last = found.orbits[-1]
-    if last.separates and orbit.separates:
-        for kind, test in _TESTS.items():
-            before, after = test(last), test(orbit)
-            if before * after < 0.0:
-                special = locate(shooter, last, orbit, test, before, after)
-                if special is not None:
-                    found.specials.append(Special(kind, special))
+    for kind in _crosses(last, orbit):
+        test = _TESTS[kind]
+        special = locate(shooter, last, orbit, test, test(last), test(orbit))
+        if special is not None:
+            found.specials.append(Special(kind, special))
     found.orbits.append(orbit)
+
+
+def _crosses(first: Orbit, second: Orbit) -> list[str]:
+    """Kinds of special points between two neighbours."""
+    if not (first.separates and second.separates):
+        return []
+    return [kind for kind, test in _TESTS.items() if test(first) * test(second) < 0.0]
 
 
 def fold_test(orbit: Orbit) -> float:
@@ -185,6 +227,9 @@ def locate(
         a, b = known[0].unknowns, known[1].unknowns
         share = (along - low) / (high - low)
         orbit, _ = shooter.close(a + share * (b - a), row, float(row @ start) + along)
+        if orbit is None:  # from the nearer end, then
+            near = known[0] if share < 0.5 else known[1]
+            orbit, _ = shooter.close(near.unknowns, row, float(row @ start) + along)
         if orbit is None:
             return best
         orbit.tangent = shooter.tangent(orbit, row)

@@ -32,7 +32,6 @@ from squeal_rig.model.core.layout import (
     K1,
     K2,
     K34,
-    K_C,
     L1,
     L2,
     L_PRE,
@@ -96,7 +95,8 @@ class Judge:
     def struck(self, impulse: float, direction: float) -> Vector:
         """The state (4,) after a hit at rest: impulse [N s], direction [rad] from the belt's, -pi/2 towards it."""
         kick = impulse / self.p.mass
-        return self.rest + np.array([0.0, 0.0, kick * math.cos(direction), kick * math.sin(direction)])
+        moved = np.array([0.0, 0.0, kick * math.cos(direction), kick * math.sin(direction)])
+        return np.asarray(self.rest + moved)
 
 
 def judge(p: RigParameters, squeal: Orbit | None = None, separatrix: Orbit | None = None) -> Judge:

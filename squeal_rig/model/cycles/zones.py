@@ -64,7 +64,7 @@ class Zone:
         return self.name
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Located:
     """A zone and the closed orbits it rests on."""
 
@@ -87,6 +87,13 @@ def zone(p: RigParameters) -> Zone:
     return located(p).zone
 
 
+def cycles_of(p: RigParameters) -> tuple[Orbit | None, Orbit | None]:
+    """Squeal cycle and separatrix at an operating point, of the branch in mu0."""
+    path = Path(p, "mu0")
+    branch = hard_branch(path, path.lower, path.upper)
+    return branch.squeal, branch.separatrix
+
+
 def located(p: RigParameters) -> Located:
     """`zone` with its orbits."""
     refuse_what_has_no_cycles(p)
@@ -99,7 +106,7 @@ def located(p: RigParameters) -> Located:
     cycle = None
     if mu.squeal is not None:
         cycle = cycle_of(in_mu, mu.squeal)
-    if unstable and cycle is None or not math.isfinite(mu.threshold) or (cycle is not None and not cycle.stable):
+    if (unstable and cycle is None) or not math.isfinite(mu.threshold) or (cycle is not None and not cycle.stable):
         settled = squeal_cycle(p)
         if settled.ending != FOUND:
             reasons.append(f"no stable cycle: {settled.sentence}")
