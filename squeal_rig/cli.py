@@ -64,7 +64,7 @@ def run(
 def demo(
     bag: Annotated[Path | None, typer.Option(help="Bag to write; bags/<UTC stamp> by default.")] = None,
 ) -> None:
-    """From quiet sliding into squeal: a scripted run of 20 s, its bag, its replay, its picture."""
+    """From quiet sliding into squeal: a scripted run of 23 s, its bag, its replay, its picture."""
     from squeal_rig.graph import signals
     from squeal_rig.session.demo import run_demo
 
