@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from squeal_rig.model.motion.contact import ContactEvents, contact_events
     from squeal_rig.model.motion.energy import EnergyBalance, energy_balance
     from squeal_rig.model.motion.ensemble import Ensemble, simulate_many
-    from squeal_rig.model.motion.trajectory import Motion, Trajectory, displaced_state, simulate
+    from squeal_rig.model.motion.trajectory import Motion, Trajectory, displaced_state, simulate, simulate_blocks
     from squeal_rig.model.parameters import RigParameters, preset_names
 
 _HOMES = {
@@ -44,6 +44,7 @@ _HOMES = {
     "jacobian": "core.forces",
     "preset_names": "parameters",
     "simulate": "motion.trajectory",
+    "simulate_blocks": "motion.trajectory",
     "simulate_many": "motion.ensemble",
     "squeal_frequency": "linear.eigen",
     "stability_band": "linear.eigen",
@@ -71,6 +72,7 @@ __all__ = [
     "jacobian",
     "preset_names",
     "simulate",
+    "simulate_blocks",
     "simulate_many",
     "squeal_frequency",
     "stability_band",

@@ -32,6 +32,14 @@ def fused_kernel(function: F) -> F:
     return _compiled(function, **_FUSED)
 
 
+def reduction_kernel(function: F) -> F:
+    """As `fused_kernel`, for sums and extremes over finite numbers: they may be regrouped, so that they run in lanes.
+
+    The grouping is the compiler's, so the last bits may differ between kinds of processor, but never between calls.
+    """
+    return _compiled(function, **{**_FUSED, "fastmath": {"contract", "reassoc", "nnan", "nsz"}})
+
+
 def inlined_kernel(function: F) -> F:
     """As `fused_kernel`, and made part of its callers' code."""
     return _compiled(function, **_FUSED, forceinline=True)

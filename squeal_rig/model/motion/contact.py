@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from squeal_rig.errors import ModelError
 from squeal_rig.model.core.layout import SAMPLE_SIZE, Vector, pack
-from squeal_rig.model.motion import exact
+from squeal_rig.model.motion import exact, stepping
 from squeal_rig.model.motion.propagator import propagators, substeps_needed
 from squeal_rig.model.motion.trajectory import checked_state, displaced_state, refuse_unless_positive
 from squeal_rig.model.parameters import RigParameters
@@ -59,7 +59,7 @@ def contact_events(
     samples = math.ceil(duration * sample_rate * (1.0 - 1e-12))
     for first in range(0, samples, _BLOCK):
         part = block[: samples - first]
-        ended, filled = exact.advance(state, q, flow, substeps, w, tally, room, part)
+        ended, filled = stepping.advance(state, q, flow, substeps, w, tally, room, part)
         exact.refuse_unless_done(ended, filled * interval)
         count = int(tally[exact.EVENTS])
         if count > _ROOM:

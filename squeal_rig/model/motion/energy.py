@@ -26,10 +26,11 @@ from squeal_rig.model.core.layout import (
     Vector,
     pack,
 )
-from squeal_rig.model.motion import exact
-from squeal_rig.model.motion.exact import MAX_PIECES, follow_piece, next_piece
+from squeal_rig.model.motion import exact, stepping
+from squeal_rig.model.motion.exact import MAX_PIECES
 from squeal_rig.model.motion.propagator import propagators, substeps_needed
 from squeal_rig.model.motion.series import evaluate
+from squeal_rig.model.motion.stepping import follow_piece, next_piece
 from squeal_rig.model.motion.trajectory import checked_state, displaced_state, refuse_unless_positive
 from squeal_rig.model.parameters import RigParameters
 
@@ -128,7 +129,7 @@ def energy_balance(
     samples = math.ceil(duration * sample_rate * (1.0 - 1e-12))
     for first in range(0, samples, _BLOCK):
         part = block[: samples - first]
-        ended, filled = exact.advance(state, q, flow, substeps, w, tally, events, part)
+        ended, filled = stepping.advance(state, q, flow, substeps, w, tally, events, part)
         exact.refuse_unless_done(ended, filled * interval)
         followed = _work(part, q, flow, interval, w, sums)
         exact.refuse_unless_done(exact.DONE if followed == len(part) else exact.STUCK, followed * interval)

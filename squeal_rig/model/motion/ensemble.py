@@ -18,9 +18,10 @@ from squeal_rig.errors import ParameterError
 from squeal_rig.model.core.kernel import kernel
 from squeal_rig.model.core.layout import L_PRE, PACKED_SIZE, SAMPLE_SIZE, Vector, pack
 from squeal_rig.model.core.statics import FOUND, rest_position
-from squeal_rig.model.motion.exact import CONTACT_TIME, DONE, SEPARATIONS, TALLY_SIZE, advance
+from squeal_rig.model.motion.exact import CONTACT_TIME, DONE, SEPARATIONS, TALLY_SIZE
 from squeal_rig.model.motion.propagator import FLOW_SIZE, propagators, substeps_needed
 from squeal_rig.model.motion.series import MAX_ORDER, ROWS
+from squeal_rig.model.motion.stepping import advance_any
 from squeal_rig.model.motion.trajectory import refuse_unless_positive
 from squeal_rig.model.parameters import RigParameters
 
@@ -154,7 +155,7 @@ def _summarise(
         ended = DONE
         for first in range(0, settling, _BLOCK):
             part = block[: min(_BLOCK, settling - first)]
-            ended, _ = advance(state, q, flow, substeps, w, tally, events, part)
+            ended, _ = advance_any(state, q, flow, substeps, w, tally, events, part, 0)
             if ended != DONE:
                 break
         tally[:] = 0.0
@@ -165,7 +166,7 @@ def _summarise(
             if ended != DONE:
                 break
             part = block[: min(_BLOCK, samples - first)]
-            ended, _ = advance(state, q, flow, substeps, w, tally, events, part)
+            ended, _ = advance_any(state, q, flow, substeps, w, tally, events, part, 0)
             if kept.shape[0] > 0 and ended == DONE:
                 kept[run, first : first + part.shape[0]] = part
             _add_block(part, first, x, y, previous, sums)

@@ -16,7 +16,7 @@ NEAR_ORDER = 9
 
 
 @inlined_kernel
-def _local(flow: Vector, g: int, x: float, y: float) -> tuple[float, float, float, float, float, float]:
+def local_arms(flow: Vector, g: int, x: float, y: float) -> tuple[float, float, float, float, float, float]:
     """The component of g at `flow[g:]` about (x, y): value, two slopes, second derivatives xx, xy, yy."""
     xx = flow[g] + flow[g + 3] * x + flow[g + 4] * y
     yy = flow[g + 2] + flow[g + 5] * x + flow[g + 6] * y
@@ -47,8 +47,8 @@ def expand_near(
     """
     per_mass, hh = 1.0 / q[MASS], h * h
     x0, y0, x1, y1 = state[0], state[1], h * state[2], h * state[3]
-    fx, xx, xy, ax, bx, cx = _local(flow, GX, x0, y0)
-    fy, yx, yy, ay, by, cy = _local(flow, GY, x0, y0)
+    fx, xx, xy, ax, bx, cx = local_arms(flow, GX, x0, y0)
+    fy, yx, yy, ay, by, cy = local_arms(flow, GY, x0, y0)
     stiffness = q[K_C] * per_mass if contact else 0.0
     pressed = stiffness * (q[L_PRE] - y0)
     fx += q[LOAD_X] * per_mass - flow[K_AA] * x0 - flow[K_AB] * y0 + q[MU] * pressed

@@ -81,7 +81,10 @@ NEAR, STEP, K_AA, K_AB, K_BB = 1146, 1147, 1148, 1149, 1150  # stiffness of arms
 # the next four steps; where the first not yet passed begins, ALL_PASSED where there is none; and steps taken, modulo 4.
 PATH, PASSED, STEPS = 1152, 1168, 1169
 ALL_PASSED = 16
-FLOW_SIZE = 1170
+# What the path was made by: the maps, or one Taylor series, of which y leaves its chords by no more than PATH_TUBE.
+KIND, PATH_TUBE = 1170, 1171
+MAPS, SERIES = 0.0, 1.0
+FLOW_SIZE = 1172
 
 _TERMS = 16
 _ROOT = math.sqrt(0.6)
@@ -109,7 +112,7 @@ def substeps_needed(q: Vector, interval: float, longest: float) -> int:
 @kernel
 def propagators(q: Vector, h: float, flow: Vector) -> None:
     """Fill `flow` (`FLOW_SIZE`,) for the packed parameters `q` and the step h [s]."""
-    flow[PASSED], flow[STEPS] = ALL_PASSED, 0.0
+    flow[PASSED], flow[STEPS], flow[KIND] = ALL_PASSED, 0.0, MAPS
     _shared(q, h, flow)
     for contact in (True, False):
         _mode(q, h, contact, flow)
