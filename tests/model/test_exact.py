@@ -240,9 +240,9 @@ def test_blocks_give_the_bits_of_one_run_beyond_the_near_range_and_back():
     whole = assert_blocks_give_the_bits_of_one_run(SQUEALING, start)
     assert np.max(np.abs(whole[:, :2])) > 1e-3
     damped = SQUEALING.replace(preload=20.0, pad_stiffness=2e7, damping_x=1e4, damping_y=1e4)
-    whole = assert_blocks_give_the_bits_of_one_run(damped, displaced_state(damped, 60.0))
+    whole = assert_blocks_give_the_bits_of_one_run(damped, np.array([0.0, -4e-4, 0.0, 0.0]))
     # From beyond the near range, 0.24 mm here, into it.
-    assert np.max(np.abs(whole[:100, :2])) > 3e-4
+    assert np.max(np.abs(whole[:100, :2])) > 2.5e-4
     assert np.max(np.abs(whole[-100:, :2])) < 5e-5
 
 
