@@ -51,7 +51,14 @@ def multiply(a: Vector, b: Vector, out: Vector) -> None:
 @fused_kernel
 def multiply_linear(a: Vector, b: Vector, out: Vector) -> None:
     """As `multiply`, of a's constant and linear part only."""
-    out[:TERMS] = 0.0
+    for t in range(TERMS):
+        out[t] = 0.0
+    add_product_linear(a, b, out)
+
+
+@fused_kernel
+def add_product_linear(a: Vector, b: Vector, out: Vector) -> None:
+    """As `multiply_linear`, onto what is there."""
     for n in range(_LINEAR_PRODUCTS.shape[0]):
         out[_LINEAR_PRODUCTS[n, 2]] += a[_LINEAR_PRODUCTS[n, 0]] * b[_LINEAR_PRODUCTS[n, 1]]
 

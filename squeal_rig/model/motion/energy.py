@@ -28,7 +28,7 @@ from squeal_rig.model.core.layout import (
 )
 from squeal_rig.model.motion import exact, stepping
 from squeal_rig.model.motion.exact import MAX_PIECES
-from squeal_rig.model.motion.propagator import propagators, substeps_needed
+from squeal_rig.model.motion.propagator import make_propagators, substeps_needed
 from squeal_rig.model.motion.series import evaluate
 from squeal_rig.model.motion.stepping import follow_piece, next_piece
 from squeal_rig.model.motion.trajectory import checked_state, displaced_state, refuse_unless_positive
@@ -121,7 +121,7 @@ def energy_balance(
     q, flow, w = pack(p), exact.empty_flow(), exact.workspace()
     interval = 1.0 / sample_rate
     substeps = substeps_needed(q, interval, interval)
-    propagators(q, interval / substeps, flow)
+    make_propagators(q, interval / substeps, flow)
     state = displaced_state(p, 0.1) if initial_state is None else checked_state(initial_state)
     start = state.copy()
     tally, events, sums = np.zeros(exact.TALLY_SIZE), np.empty((0, 2)), np.zeros(3)

@@ -289,10 +289,10 @@ def advance(
     """
     h = flow[STEP]
     contact = is_in_contact(state, q)
-    steps, budget = begin_block(tally, out.shape[0], substeps)
+    # Not step = 0: for a constant numba would compile what takes it once more.
+    step, steps, budget = begin_block(tally, out.shape[0], substeps)
     if steps > budget:
         return OVER_BUDGET, 0
-    step = 0
     while True:
         step = glide(state, q, flow, contact, np.inf, substeps, step, steps, out)
         if step == steps:
@@ -311,10 +311,10 @@ def advance(
 
 
 @inlined_kernel
-def begin_block(tally: Vector, samples: int, substeps: int) -> tuple[int, float]:
-    """Set back what is counted by the block; its steps, and how many steps and pieces it may take."""
+def begin_block(tally: Vector, samples: int, substeps: int) -> tuple[int, int, float]:
+    """Set back what is counted by the block; its first step, its steps, and how many steps and pieces it may take."""
     tally[SINCE], tally[EVENTS], tally[PIECES] = 0.0, 0.0, 0.0
-    return samples * substeps, tally[BUDGET] if tally[BUDGET] > 0.0 else np.inf
+    return int(tally[EVENTS]), samples * substeps, tally[BUDGET] if tally[BUDGET] > 0.0 else np.inf
 
 
 @inlined_kernel

@@ -36,7 +36,7 @@ from squeal_rig.model.core.layout import (
     Vector,
 )
 from squeal_rig.model.motion.near import local_arms
-from squeal_rig.model.motion.propagator import GX, GY, K_AA, K_AB, K_BB
+from squeal_rig.model.motion.propagator import GX, GY, K_AA, K_AB, K_BB, NEAR
 from squeal_rig.model.motion.series import NORMAL, P2, RATIO, SECH2, SLIP, TANH, W1, W2, X, Y
 
 #: Up to these orders of the force the arms' terms of degree 2 and 3 in d are kept. At rate times step 0.65, four steps
@@ -78,8 +78,8 @@ def expand_slip(
     """
     per_mass, hh = 1.0 / q[MASS], h * h
     x0, y0 = state[0], state[1]
-    fx, xx, xy, ax, bx, cx = local_arms(flow, GX, x0, y0)
-    fy, yx, yy, ay, by, cy = local_arms(flow, GY, x0, y0)
+    fx, xx, xy, ax, bx, cx = local_arms(flow[GX:GY], x0, y0)
+    fy, yx, yy, ay, by, cy = local_arms(flow[GY:NEAR], x0, y0)
     stiffness = q[K_C] * per_mass
     fx = hh * (fx + q[LOAD_X] * per_mass - flow[K_AA] * x0 - flow[K_AB] * y0)
     fy = hh * (fy + q[LOAD_Y] * per_mass - flow[K_AB] * x0 - flow[K_BB] * y0 + stiffness * (q[L_PRE] - y0))

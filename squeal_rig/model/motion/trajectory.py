@@ -129,7 +129,7 @@ class Motion:
             return
         longest = self._interval if self._longest_step is None else self._longest_step
         self._substeps = propagator.substeps_needed(self._packed, self._interval, longest)
-        propagator.propagators(self._packed, self._interval / self._substeps, self._flow)
+        propagator.make_propagators(self._packed, self._interval / self._substeps, self._flow)
 
     def set_state(self, state: ArrayLike) -> None:
         """Put the pad into the state (x, y, vx, vy) [m, m/s]."""
