@@ -58,7 +58,7 @@ from squeal_rig.model.core.layout import (
     MU,
     Vector,
 )
-from squeal_rig.model.motion.cubic import TERMS, add_product_linear, compose, multiply_linear
+from squeal_rig.model.motion.cubic import TERMS, add_product_linear, monomials, multiply_linear, substitute
 
 #: Largest error of one step by propagators, as a share of the displacement (the bound above).
 NEAR_ERROR = 1e-11
@@ -85,8 +85,8 @@ ALL_PASSED = 16
 KIND, PATH_TUBE = 1170, 1171
 MAPS, SERIES = 0.0, 1.0
 # Room for making the maps: A and b of a mode; e^{Ah} and the integral of e^{As} b for four steps; polynomials.
-_A, _B, _EXPONENTIALS, _TERM, _ROOM, _MAPS = 1176, 1192, 1200, 1300, 1336, 1584
-FLOW_SIZE = 2144
+_A, _B, _EXPONENTIALS, _TERM, _ROOM, _MAPS, _MONOMIALS = 1176, 1192, 1200, 1300, 1336, 1584, 2144
+FLOW_SIZE = _MONOMIALS + TERMS * TERMS
 
 _TERMS = 16
 _ROOT = math.sqrt(0.6)
@@ -129,8 +129,7 @@ def propagators(q: Vector, h: float, flow: Vector) -> None:
         for n in range(_POWERS):
             _exponential(h, n, flow)
         _one_step(h, flow)
-        for n in range(1, AHEAD):
-            _append_step(n, flow)
+        _more_steps(flow)
         _file_maps(mode, flow)
         _limits(q, h, mode, flow)
 
@@ -232,10 +231,13 @@ def _one_step(h: float, flow: Vector) -> None:
 
 
 @fused_kernel
-def _append_step(n: int, flow: Vector) -> None:
-    """The map of n + 1 steps: that of one after that of n."""
-    maps = flow[_MAPS : _MAPS + AHEAD * 4 * TERMS].reshape((AHEAD, 4, TERMS))
-    compose(maps[0], maps[n - 1], maps[n], flow[_ROOM : _ROOM + 2 * TERMS].reshape((2, TERMS)))
+def _more_steps(flow: Vector) -> None:
+    """The maps of two steps and more: that of one fewer, with that of one for its variables."""
+    maps = flow[_MAPS:_MONOMIALS].reshape((AHEAD, 4, TERMS))
+    step = flow[_MONOMIALS:FLOW_SIZE].reshape((TERMS, TERMS))
+    monomials(maps[0], step)
+    for n in range(1, AHEAD):
+        substitute(maps[n - 1], step, maps[n])
 
 
 @fused_kernel
