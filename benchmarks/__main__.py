@@ -10,10 +10,20 @@ from pathlib import Path
 
 from benchmarks.case import amplification, expected_states
 from benchmarks.peers import Point, all_points, real_time
-from benchmarks.throughput import ManyRuns, many_runs, map_times, propagation_speed, trajectory_speed
+from benchmarks.taylor import lanes_speed, slip_points, slip_table
+from benchmarks.throughput import (
+    ManyRuns,
+    first_simulate,
+    many_runs,
+    map_times,
+    operating_points,
+    propagation_speed,
+    trajectory_speed,
+)
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 ASKED = 1e-6
+STRICT = 1e-9
 PARTS = ("engine", "nodes")
 #: The section of the live node comes last; each part is written anew without the other.
 NODES = "## The live node\n"
@@ -27,7 +37,7 @@ def machine() -> str:
         lines = cpuinfo.read_text(encoding="utf-8").splitlines()
         model = next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), model)
     packages = []
-    for name in ("numpy", "numba", "scipy", "numbalsoda", "diffrax", "jax"):
+    for name in ("numpy", "numba", "scipy", "numbalsoda", "diffrax", "heyoka", "jax"):
         try:
             packages.append(f"{name} {version(name)}")
         except PackageNotFoundError:
@@ -65,6 +75,42 @@ def best_at(points: list[Point], prefix: str) -> Point | None:
     return min(own, key=lambda point: point.error) if own else None
 
 
+def strongest_text(points: list[Point]) -> str:
+    """The strongest peer at the errors where the exact engine works, against it and against `simulate`."""
+    peers = [point for point in points if point.solver not in ("exact", "simulate", "RK4 (own)")]
+    good = [point for point in peers if point.error <= STRICT]
+    if not good:
+        return f"No peer reaches an error of {STRICT:g}."
+    best = min(good, key=lambda point: point.seconds)
+    exact, whole = (next(p for p in points if p.solver == name) for name in ("exact", "simulate"))
+    return (
+        f"At errors <= {STRICT:g} the strongest peer is {best.solver} ({best.setting}, error {best.error:.1e}):"
+        f" {real_time(best):.0f} times real time. Block by block the exact engine is {best.seconds / exact.seconds:.1f}"
+        f" times as fast, one call of `simulate` over the same 50 ms {best.seconds / whole.seconds:.1f} times."
+    )
+
+
+def simulate_text(share: float, rate: float) -> str:
+    """What `simulate` costs over the engine in blocks."""
+    return (
+        f"`simulate(p, 5.0)`, first call in a fresh process once the code is loaded: {rate:.0f} times real time,"
+        f" {share:.2f} of the rate in blocks. What is missing goes into memory the process has never touched, 8 MB."
+    )
+
+
+def lanes_text(lanes: tuple[int, float] | None, alone: ManyRuns) -> str:
+    """heyoka's batch mode beside `simulate_many` on one core."""
+    if lanes is None:
+        return "heyoka's batch mode: not measured (heyoka is not installed)."
+    own = alone.points * alone.duration / alone.seconds
+    return (
+        f"The peer is heyoka's batch mode, {lanes[0]} runs in SIMD lanes on one core, without any samples:"
+        f" {lanes[1]:.0f} simulated s per wall s. `simulate_many` on one core, summaries of every sample included, is"
+        f" {own / lanes[1]:.1f} times as fast. heyoka's event callbacks are Python here, which costs it a part of that:"
+        " the lanes wait for each other's."
+    )
+
+
 def ratio_table(points: list[Point]) -> str:
     """Peers at their fastest setting within the error asked for."""
     exact = next(point for point in points if point.solver == "exact")
@@ -72,7 +118,7 @@ def ratio_table(points: list[Point]) -> str:
         f"| peer at error <= {ASKED:g}, or its best | setting | error | exact is faster by |",
         "|---|---|---|---|",
     ]
-    for prefix in ("RK4", "SciPy", "numbalsoda", "diffrax"):
+    for prefix in ("RK4", "SciPy", "numbalsoda", "diffrax", "heyoka"):
         point = best_at(points, prefix)
         if point is not None:
             rows.append(
@@ -134,6 +180,12 @@ def engine() -> str:
     runs = [many_runs(n, duration, cores) for n, duration in ((100, 0.5), (1000, 0.5), (10_000, 0.5), (100_000, 0.05))]
     efficiency = alone.seconds / together.seconds / cores
     maps = map_times()
+    first = first_simulate()
+    try:
+        slip_text = slip_table(slip_points(), STRICT)
+        lanes = lanes_speed(operating_points(64), 0.5, 3.0)
+    except ImportError as error:
+        slip_text, lanes = f"Not measured ({error}).", None
     draw(points, [alone, *runs])
     map_text = ", ".join(f"{seconds:.1f} s ({name} damping)" for name, seconds in maps.items())
     return f"""# Benchmarks
@@ -144,21 +196,36 @@ Times are the best of some repeats, since other work on the machine only adds.
 The case: preset, F = 300 N, V = 1 m/s, k = 6e7 N/m, c = 20 N s/m, the pad let go 3 static compressions towards the
 belt, 50 ms at 51.2 kHz, about 90 contact events. Reference: DOP853, rtol 1e-12, atol 1e-18 m, restarted at each event.
 This start amplifies a small change {amplification():.0f} times, so the reference's 1e-12 cannot come out below 1e-10.
-Peers run straight through the events, with compiled right-hand sides.
+Peers have compiled right-hand sides. heyoka finds the contact events and goes on from each in the other mode, the
+others run straight through them.
 
 ## Work and precision
 
 ![work-precision diagram](work_precision.png)
+
+{strongest_text(points)}
+
+{simulate_text(*first)}
 
 {ratio_table(points)}
 
 {peer_table(points, limit, speed)}
 {"".join(f"{chr(10)}{note}" for note in notes)}
 
+## Friction that sees the slip
+
+The same case with `friction_direction: slip` (V_reg = 0.01 m/s), with `friction_speed: slip`
+(mu = 0.82 - 0.02 s/m |V - vx|), and with both. Reference as above.
+
+{slip_text}
+
 ## Many operating points
 
 Points spread evenly over the paper's range, c = 20 N s/m, started 3 static compressions off. 2000 points:
-{alone.seconds:.2f} s with 1 thread, {together.seconds:.2f} s with {cores}: efficiency {efficiency:.0%}.
+{alone.seconds:.2f} s with 1 thread, {together.seconds:.2f} s with {cores}: efficiency {efficiency:.0%}. Making the
+parameters is part of it: one set, and arrays of what varies.
+
+{lanes_text(lanes, alone)}
 
 ![scaling of simulate_many](simulate_many.png)
 

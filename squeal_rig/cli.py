@@ -123,6 +123,18 @@ def check(
     console.print(f"{file}: {check_file(file)}, all in order")
 
 
+@app.command("warm-up")
+def warm_up() -> None:
+    """Compile the model now instead of at its first use: after an installation, in a container image."""
+    import time
+
+    from squeal_rig.instruments.warm_up import warm_up as compile_everything
+
+    begin = time.monotonic()
+    compile_everything()
+    console.print(f"the model is compiled: {time.monotonic() - begin:.1f} s")
+
+
 bag_app = typer.Typer(
     no_args_is_help=True, rich_markup_mode=None, help="Look into bags, check them, save them, cut, merge, export."
 )
