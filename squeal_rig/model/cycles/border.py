@@ -117,3 +117,19 @@ def hard_branch(path: Path, low: float, high: float) -> HardBranch:
     else:
         branch.reason = f"the branch from the flutter threshold has no fold: {found.sentence}"
     return branch
+
+
+def fold_below(path: Path, orbit: Orbit) -> float:
+    """The fold that the branch through an orbit of the path's rig comes to towards smaller values; nan if none."""
+    shooter = shooter_at(path, path.value, orbit.period, path.value)
+    start = shooter.close_at(orbit.unknowns, path.value)
+    down = None if start is None else shooter.tangent(start, np.array([0.0, 0.0, 0.0, 0.0, 0.0, -1.0]))
+    if start is None or down is None:
+        return math.nan
+
+    def folded(found: Trace) -> bool:
+        return any(s.kind == FOLD for s in found.specials)
+
+    low = max(path.lower, _SOFTEST * path.value)
+    found = trace(shooter, start, down, low, path.upper, _POINTS, COARSE, folded)
+    return next((s.orbit.parameter for s in found.specials if s.kind == FOLD), math.nan)
