@@ -1,6 +1,6 @@
 """What the eigenvalues do not say of a set point, as a status: zone, both borders, squeal to expect, hits it bears.
 
-Source: `model.cycles`. It takes longer than a callback may: a node computes it in a process beside, a bag as it is read.
+Source: `model.cycles`. It takes longer than a callback may: a node has it computed in a process beside it.
 """
 
 from __future__ import annotations
