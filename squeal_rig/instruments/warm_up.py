@@ -8,6 +8,10 @@ from squeal_rig.instruments.settings import RigSettings
 from squeal_rig.instruments.virtual import VirtualRig
 from squeal_rig.model.core.forces import jacobian, state_derivative
 from squeal_rig.model.core.statics import equilibrium
+from squeal_rig.model.cycles.cycle import squeal_cycle
+from squeal_rig.model.cycles.hits import smallest_hit
+from squeal_rig.model.cycles.safe import safe_hit
+from squeal_rig.model.cycles.zone_map import zone_map
 from squeal_rig.model.linear.eigen import critical_pad_stiffness, eigenvalues, stability_report
 from squeal_rig.model.linear.maps import map_points, stability_map
 from squeal_rig.model.motion.contact import contact_events
@@ -24,6 +28,7 @@ def warm_up() -> None:
     p = RigParameters()
     slips = p.replace(friction_direction="slip", friction_speed="slip")
     damped = p.replace(damping_x=20.0)
+    hittable = p.replace(damping_x=1000.0, damping_y=1000.0)
     rig = VirtualRig()
     rig.open(p, RigSettings())
     rig.close()
@@ -34,6 +39,10 @@ def warm_up() -> None:
         critical_pad_stiffness(rig_parameters)
         stability_map(rig_parameters, preload=np.array([50.0, 300.0]), eigenvalues=True)
         map_points({**rig_parameters.as_mapping(), "preload": np.array([50.0, 300.0])}, at_rest=True)
+    squeal_cycle(hittable)
+    smallest_hit(hittable, 0.0)
+    safe_hit(hittable)
+    zone_map(hittable, preload=[50.0, 300.0])
     start = displaced_state(p, 0.1)
     jacobian(p, start)
     state_derivative(p, start)
