@@ -80,7 +80,8 @@ def strongest_text(points: list[Point], first: float, later: float, blocks: floa
     text = (
         f"`simulate(p, 5.0)` runs {first:.0f} times real time in the first call of a fresh process, once the code is"
         f" loaded, and {later:.0f} later: {first / blocks:.2f} and {later / blocks:.2f} of the engine in blocks,"
-        f" {blocks:.0f} in the same process. What the first call lacks goes into memory never used before, 32 bytes a sample."
+        f" {blocks:.0f} in the same process. What the first call lacks goes into memory never used before, 32 bytes a"
+        " sample."
     )
     peers = [point for point in points if point.solver not in ("exact", "RK4 (own)") and point.error <= STRICT]
     if not peers:
