@@ -118,6 +118,7 @@ def test_analyse_writes_a_table_and_a_picture(command_line, bag, tmp_path):
     assert not (bag / "report.png").exists()
 
 
+@pytest.mark.slow
 def test_warm_up_says_how_long_it_took(in_process):
     # What it compiles, tests/model/test_compiled_code.py tells.
     code, output, errors = in_process("warm-up")
