@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 from benchmarks.case import CASE, DURATION, PACKED, RATE, SCALE, START, TIMES, Point, measured
 from benchmarks.taylor import heyoka
-from squeal_rig.model import Motion, simulate
+from squeal_rig.model import Motion
 from squeal_rig.model.core.forces import acceleration
 from squeal_rig.model.core.layout import (
     A1X,
@@ -54,12 +54,6 @@ def exact(expected: Vector) -> Iterator[Point]:
         return out[:, :4]
 
     yield measured("exact", "51.2 kHz", run, expected)
-
-    def whole() -> Vector:
-        run = simulate(CASE, DURATION, RATE, START)
-        return np.column_stack([run.x, run.y, run.vx, run.vy])
-
-    yield measured("simulate", "51.2 kHz, propagators included", whole, expected)
 
 
 def rk4(expected: Vector) -> Iterator[Point]:

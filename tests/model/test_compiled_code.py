@@ -102,6 +102,7 @@ print(before, compiled() - before)
 )
 
 
+@pytest.mark.slow
 def test_after_a_warm_up_nothing_is_left_to_compile():
     before, more = map(int, python(AFTER_WARM_UP))
     assert before > 20

@@ -2,10 +2,11 @@
 
 Where friction is constant to rounding and the pad near, the maps of `exact` serve as they stand: off the belt, whatever
 the friction law says, and on it where only the direction depends on the slip and V - vx stays above 19.1 V_reg, where
-tanh is 1 to rounding. Elsewhere one Taylor series reaches four steps ahead (`slip` in the near range, else the full
-equations of `series`). It is used only where the last terms are rounding, V - vx keeps its sign and its distance from
-the poles of tanh, and each of its steps only where the series itself bounds y away from L_pre: |y(s) - chord| <=
-h^2/8 max|y''|. Every other step is careful, piece by piece to the next contact event or zero of V - vx, as in `exact`.
+tanh is 1 to rounding. Elsewhere one Taylor series reaches up to four steps ahead (`slip` in the near range, else the
+full equations of `series`). It is used only as far as its last terms are rounding, V - vx keeps its sign and its
+distance from the poles of tanh, and each of its steps only where the series itself bounds y away from L_pre:
+|y(s) - chord| <= h^2/8 max|y''|. Every other step is careful, piece by piece to the next contact event or zero of
+V - vx, as in `exact`.
 
 A path is followed to its end through all blocks, so blocks of any length give the bits of one run.
 """
@@ -113,10 +114,9 @@ def _expand(
     sign = _slip_sign(state, q) if q[SLIP_SPEED] > 0.0 else 1.0
     if not (near and contact):
         expand(state, q, flow, contact, sign, rest, order, arms, w)
-        share = trusted_share(w, order)
         if contact and q[SLIP_DIRECTION] > 0.0:
-            share = share_before_tanh_turns(w, order, share)
-        return share, order
+            return share_before_tanh_turns(w, order, trusted_share(w, order)), order
+        return (1.0 if _ends_in_rounding(w, order) else trusted_share(w, order)), order
     order, taken = expand_slip(state, q, flow, sign, rest, order, w)
     if taken == AS_IT_IS:
         return share_before_tanh_turns(w, order, trusted_share(w, order)), order
@@ -131,6 +131,14 @@ def _expand(
         if movement > allowed:
             share *= allowed / movement
     return share, order
+
+
+@inlined_kernel
+def _ends_in_rounding(w: Vector, order: int) -> bool:
+    """Whether what a series leaves out is rounding: its last term is small, and a fraction of the one before."""
+    largest = max(abs(w[X, 0]), abs(w[Y, 0]), abs(w[X, 1]), abs(w[Y, 1]), abs(w[X, 2]), abs(w[Y, 2]))
+    last = max(abs(w[X, order]), abs(w[Y, order]))
+    return bool(last <= LAST_TERM * largest and 8.0 * last <= max(abs(w[X, order - 1]), abs(w[Y, order - 1])))
 
 
 @inlined_kernel
@@ -216,27 +224,34 @@ def _careful_step(
 
 
 @fused_kernel
-def _fill_path(state: Vector, q: Vector, flow: Vector, contact: bool, w: Vector) -> bool:
-    """Put the states after the next four steps into the path by one Taylor series; whether it is good for that."""
+def _fill_path(state: Vector, q: Vector, flow: Vector, contact: bool, w: Vector) -> int:
+    """Put the states after the next four steps into the path by one Taylor series, or after as many as it is good for.
+
+    Returns where in the path the first of them is: they are the last ones in it. At its end there is none.
+    """
     whole = AHEAD * flow[STEP]
     if not (abs(state[0]) + abs(state[1]) <= _FAR_M and abs(state[2]) + abs(state[3]) <= _FAR_M_S):
-        return False
+        return ALL_PASSED
     near = is_near(state, flow, whole)
     share, order = _expand(state, q, flow, contact, near, whole, _PATH_ORDER, _PATH_ORDER, w)
-    if share < 1.0:
-        return False
-    if contact and q[SLIP_SPEED] > 0.0 and not slip_movement(w, order, whole, 1.0) < abs(q[SPEED] - state[2]):
-        return False
-    bend, reach_x, reach_y = 0.0, abs(state[0]) + abs(w[X, 1]), abs(state[1]) + abs(w[Y, 1])
-    for n in range(2, order + 1):
-        bend += n * (n - 1) * abs(w[Y, n])
-        reach_x += abs(w[X, n])
-        reach_y += abs(w[Y, n])
-    if near and contact and max(reach_x, reach_y) > flow[NEAR]:
-        return False
+    steps = int(AHEAD * share)
+    share = steps / AHEAD
+    if contact and q[SLIP_SPEED] > 0.0 and not slip_movement(w, order, whole, share) < abs(q[SPEED] - state[2]):
+        return ALL_PASSED
+    bend, reach_x, reach_y = 0.0, abs(w[X, order]), abs(w[Y, order])
+    for n in range(order, 1, -1):
+        bend = bend * share + n * (n - 1) * abs(w[Y, n])
+        reach_x, reach_y = reach_x * share + abs(w[X, n - 1]), reach_y * share + abs(w[Y, n - 1])
+    if near and contact and max(reach_x * share + abs(state[0]), reach_y * share + abs(state[1])) > flow[NEAR]:
+        return ALL_PASSED
     flow[PATH_TUBE] = bend / (8.0 * AHEAD * AHEAD)
-    _evaluate_four(w, order, 1.0 / whole, flow[PATH:PASSED])
-    return True
+    if steps == AHEAD:
+        _evaluate_four(w, order, 1.0 / whole, flow[PATH:PASSED])
+    else:
+        for n in range(steps):
+            k = PATH + ALL_PASSED - 4 * (steps - n)
+            evaluate(w, order, (n + 1.0) / AHEAD, whole, flow[k : k + 4])
+    return ALL_PASSED - 4 * steps
 
 
 @inlined_kernel
@@ -280,16 +295,13 @@ def _glide_by_series(
         if k == ALL_PASSED:
             if n > first and _maps_serve(state, flow, fastest):
                 return n, True
-            if not _fill_path(state, q, flow, contact, w):
-                k = -1
-            else:
-                k = 0
+            k = _fill_path(state, q, flow, contact, w)
         if past_sample == 0:
             normal = stiffness * max(0.0, edge - state[1])
             for i in range(4):
                 out[sample, i] = state[i]
             out[sample, 4], out[sample, 5] = normal, friction_ratio(state[2], q) * normal
-        if k < 0:
+        if k == ALL_PASSED:
             return n, False
         next_y, tube = flow[PATH + k + 1], flow[PATH_TUBE]
         room = min(edge - state[1], edge - next_y) if contact else min(state[1] - edge, next_y - edge)
