@@ -76,12 +76,7 @@ def stability_map(
         ParameterError: a field that is unknown or has no part in the linear model, a value out of its bounds, or
             shapes that do not broadcast.
     """
-    arrays = _checked_grids(grids)
-    try:
-        np.broadcast_shapes(*(values.shape for values in arrays.values()))
-    except ValueError:
-        shapes = ", ".join(f"{name} {values.shape}" for name, values in arrays.items())
-        raise ParameterError(f"these shapes do not broadcast to one grid: {shapes}") from None
+    arrays = checked_grids(grids)
     return map_points({**p.as_mapping(), **arrays}, bands, eigenvalues, threads)
 
 
@@ -157,8 +152,12 @@ def _fill_points(
                 out[4, i] = (out[2, i] - 0.5 * (q[K1] + q[K2])) / out[2, i]
 
 
-def _checked_grids(grids: Mapping[str, ArrayLike]) -> dict[str, Vector]:
-    """The grids as arrays by field name, every value within its declared bounds."""
+def checked_grids(grids: Mapping[str, ArrayLike]) -> dict[str, Vector]:
+    """The grids as arrays by field name, every value within its declared bounds, their shapes such that they broadcast.
+
+    Raises:
+        ParameterError: as `stability_map`.
+    """
     known = declarations(RigParameters)
     arrays: dict[str, Vector] = {}
     for name, given in grids.items():
@@ -176,4 +175,9 @@ def _checked_grids(grids: Mapping[str, ArrayLike]) -> dict[str, Vector]:
         if wrong.any():
             checked(bounds, float(array[wrong].flat[0]))
         arrays.update(dict.fromkeys(names, array))
+    try:
+        np.broadcast_shapes(*(values.shape for values in arrays.values()))
+    except ValueError:
+        shapes = ", ".join(f"{name} {values.shape}" for name, values in arrays.items())
+        raise ParameterError(f"these shapes do not broadcast to one grid: {shapes}") from None
     return arrays

@@ -1,0 +1,1 @@
+"""Squeal cycles: found, followed and judged on the exact flow, offline."""

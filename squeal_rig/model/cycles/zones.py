@@ -1,0 +1,133 @@
+"""The three zones: quiet whatever happens, quiet until hit, squeal by itself; and how far their borders are."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from squeal_rig.model.core.law import friction_coefficient
+from squeal_rig.model.core.statics import equilibrium
+from squeal_rig.model.cycles.border import hard_branch
+from squeal_rig.model.cycles.cycle import DIES_OUT, FOUND, LEFT_BOUNDS, SquealCycle, cycle_of, squeal_cycle
+from squeal_rig.model.cycles.path import PAD_STIFFNESS, Path, refuse_what_has_no_cycles
+from squeal_rig.model.cycles.shooting import Orbit
+from squeal_rig.model.cycles.threshold import growth
+from squeal_rig.model.parameters import RigParameters
+
+QUIET, BISTABLE, SQUEAL = "quiet", "bistable", "squeal"
+
+
+@dataclass(frozen=True)
+class Zone:
+    """Zone of an operating point, and both borders in the friction coefficient and in the mean arm stiffness [N/m].
+
+    - name: "quiet" (no hit starts squeal that lasts), "bistable" (quiet until hit), "squeal" (by itself)
+    - fold_*: border between quiet and bistable; flutter_*: between bistable and squeal, as the eigenvalues have it; nan
+      where there is none, which `reasons` tell
+    - to_*: from the border to the operating point; positive beyond it. In k where flutter ends at the border, not
+      begins, beyond it is below it: then the sign is that of the zone.
+    - squeal, separatrix: the cycles there, of which the second divides quiet from squeal; None where they are not.
+    """
+
+    name: str
+    mu: float
+    fold_mu: float
+    flutter_mu: float
+    pad_stiffness: float
+    fold_pad_stiffness: float
+    flutter_pad_stiffness: float
+    squeal: SquealCycle | None
+    separatrix: SquealCycle | None
+    reasons: tuple[str, ...]
+
+    @property
+    def to_fold_mu(self) -> float:
+        return self.mu - self.fold_mu
+
+    @property
+    def to_flutter_mu(self) -> float:
+        return self.mu - self.flutter_mu
+
+    @property
+    def to_fold_pad_stiffness(self) -> float:
+        return self._towards * (self.pad_stiffness - self.fold_pad_stiffness)
+
+    @property
+    def to_flutter_pad_stiffness(self) -> float:
+        return self._towards * (self.pad_stiffness - self.flutter_pad_stiffness)
+
+    @property
+    def _towards(self) -> float:
+        return -1.0 if self.fold_pad_stiffness > self.flutter_pad_stiffness else 1.0
+
+    def __str__(self) -> str:
+        return self.name
+
+
+@dataclass(frozen=True, repr=False)
+class Located:
+    """A zone and the closed orbits it rests on."""
+
+    zone: Zone
+    squeal: Orbit | None
+    separatrix: Orbit | None
+
+
+def zone(p: RigParameters) -> Zone:
+    """Zone of an operating point with the distances to both borders.
+
+    The flutter border is where an eigenvalue at the exact equilibrium begins to grow. The other one is the fold of the
+    branch of cycles that begins there, followed in mu0 and in the pad stiffness (k1 and k2 at their ratio, down to a
+    thousandth of the flutter threshold). Where no friction makes the rig flutter, motions from 1 to 10 static
+    compressions decide. Squeal on branches that no flutter threshold belongs to is not excluded by "quiet".
+
+    Raises:
+        ModelError: the rig is refused (friction that sees the slip, no damping), or has no equilibrium in contact.
+    """
+    return located(p).zone
+
+
+def cycles_of(p: RigParameters) -> tuple[Orbit | None, Orbit | None]:
+    """Squeal cycle and separatrix at an operating point, of the branch in mu0."""
+    path = Path(p, "mu0")
+    branch = hard_branch(path, path.lower, path.upper)
+    return branch.squeal, branch.separatrix
+
+
+def located(p: RigParameters) -> Located:
+    """`zone` with its orbits."""
+    refuse_what_has_no_cycles(p)
+    equilibrium(p)
+    in_mu, in_k = Path(p, "mu0"), Path(p, PAD_STIFFNESS)
+    mu = hard_branch(in_mu, in_mu.lower, in_mu.upper)
+    k = hard_branch(in_k, in_k.lower, in_k.upper)
+    reasons = [f"in {name}: {branch.reason}" for name, branch in (("mu", mu), ("k", k)) if branch.reason]
+    unstable = growth(in_mu.packed(in_mu.value)) > 0.0
+    cycle = None
+    if mu.squeal is not None:
+        cycle = cycle_of(in_mu, mu.squeal)
+    if (unstable and cycle is None) or not math.isfinite(mu.threshold) or (cycle is not None and not cycle.stable):
+        settled = squeal_cycle(p)
+        if settled.ending != FOUND:
+            reasons.append(f"no stable cycle: {settled.sentence}")
+        if settled.found:
+            cycle = settled
+        elif settled.ending in (DIES_OUT, LEFT_BOUNDS):
+            cycle = None
+    name = SQUEAL if unstable else BISTABLE if cycle is not None else QUIET
+    separatrix = mu.separatrix if name == BISTABLE else None
+    friction = friction_coefficient(p)
+    offset = friction - in_mu.value
+    found = Zone(
+        name,
+        friction,
+        mu.fold + offset,
+        mu.threshold + offset,
+        in_k.value,
+        k.fold,
+        k.threshold,
+        cycle,
+        None if separatrix is None else cycle_of(in_mu, separatrix),
+        tuple(reasons),
+    )
+    return Located(found, mu.squeal, separatrix)
