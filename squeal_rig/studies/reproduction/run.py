@@ -14,7 +14,7 @@ from rich.progress import Progress as ProgressBar
 
 from squeal_rig.configuration.declared import declarations
 from squeal_rig.model.parameters import RigParameters
-from squeal_rig.report.page import DataTable, Section, write_page
+from squeal_rig.report.page import DataTable, Section, write_report
 from squeal_rig.studies.reproduction import figures, linear, nonlinear, statements
 from squeal_rig.studies.reproduction.friction_law import FrictionExperiment, measure_friction
 from squeal_rig.studies.reproduction.inverse import InverseResults, solve_inverse
@@ -109,13 +109,7 @@ STAGES = 7 + 2 * 6
 
 def write_results(results: Results, folder: Path) -> Path:
     """Write the page, every picture as PNG and every table as CSV; returns the page's path."""
-    folder.mkdir(parents=True, exist_ok=True)
     sections = list(_sections(results))
-    for section in sections:
-        for shown in section.pictures:
-            shown.write(folder)
-        for table in section.tables:
-            table.write_csv(folder)
     lead = [
         f"Every number and figure of Yavuz and Sen (2023), computed from the preset {results.preset}, beside what"
         " the paper's text reports (its figures' data are not published).",
@@ -123,7 +117,7 @@ def write_results(results: Results, folder: Path) -> Path:
         " without which nothing settles; Table 1 is given without damping too.",
     ]
     page = folder / PAGE
-    write_page("The paper, reproduced and corrected", lead, sections, page)
+    write_report("The paper, reproduced and corrected", lead, sections, page, force=True)
     return page
 
 

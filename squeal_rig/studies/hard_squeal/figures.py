@@ -1,0 +1,265 @@
+"""Pictures of branches, multipliers, cycles and zones."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from squeal_rig.configuration.declared import declarations
+from squeal_rig.model.core.law import friction_coefficient
+from squeal_rig.model.cycles.path import PAD_STIFFNESS
+from squeal_rig.model.cycles.tracing import FLUTTER
+from squeal_rig.model.cycles.zone_map import BISTABLE, NOT_IN_CONTACT, QUIET, SQUEAL
+from squeal_rig.model.parameters import RigParameters
+from squeal_rig.report.paper_style import Picture, picture
+from squeal_rig.studies.hard_squeal.branches import Diagram, Values, from_rest, normal_force
+from squeal_rig.studies.hard_squeal.chart import Chart
+
+#: Fill and hatch of each zone, distinct in grey too.
+_FILLS = {
+    NOT_IN_CONTACT: ("none", "no contact", "xx"),
+    QUIET: ("#ffffff", "quiet whatever happens", ""),
+    BISTABLE: ("#d9e6f2", "bistable: quiet until hit", ""),
+    SQUEAL: ("#f0c9c4", "squeals by itself", "////"),
+}
+_STABLE, _UNSTABLE = "#000000", "#b2182b"
+_MARKS = {"fold": "o", "period doubling": "s", "Neimark-Sacker": "^"}
+_HATCH_COLOR = "#d79a93"
+
+
+def axis_of(diagram: Diagram) -> tuple[str, float, float]:
+    """Label of the field's axis, and scale and shift from the field to it: mu0 is shown as the friction coefficient."""
+    if diagram.field == "mu0":
+        return "friction coefficient $\\mu$ (by mu0)", 1.0, friction_coefficient(diagram.rig) - diagram.rig.mu0
+    if diagram.field == PAD_STIFFNESS:
+        return "pad stiffness k [10$^7$ N/m]", 1e-7, 0.0
+    unit = declarations(RigParameters)[diagram.field].unit
+    return diagram.field + (f" [{unit}]" if unit else ""), 1.0, 0.0
+
+
+def branch_figure(diagram: Diagram, name: str = "branch") -> Picture:
+    """Peak of x and frequency along the branch, the equilibrium, the folds, and the zones behind."""
+    label, scale, shift = axis_of(diagram)
+    points = diagram.branch.points
+    at = scale * points["parameter"] + shift
+
+    def draw(axes: Any) -> None:
+        left, right = axes[0]
+        for axis in (left, right):
+            _shade(axis, scale * diagram.values + shift, diagram.zones)
+            axis.set(xlabel=label, xlim=(scale * diagram.values[0] + shift, scale * diagram.values[-1] + shift))
+        _equilibrium(left, scale * diagram.values + shift, diagram.zones)
+        peak = points["peak_x"] * 1e6
+        _by_stability(left, at, peak, points["stable"])
+        for end, i in zip(diagram.branch.ends, (0, -1), strict=True):
+            if end.how == FLUTTER:  # the linear mode at its threshold, of any amplitude up to separation
+                left.plot([at[i], at[i]], [0.0, peak[i]], ":", color=_UNSTABLE, lw=1.2, label="linear mode")
+        _by_stability(right, at, points["frequency"], points["stable"])
+        for axis, column, factor in ((left, "peak_x", 1e6), (right, "frequency", 1.0)):
+            _mark_specials(axis, diagram, column, factor, scale, shift)
+            axis.axvline(scale * _own_value(diagram) + shift, color="0.45", ls=(0, (1, 2)), lw=1.0, label="_")
+        left.set(ylabel="peak of x from rest [$\\mu$m]", title="(a)", ylim=(-0.03 * peak.max(), 1.3 * peak.max()))
+        right.set(ylabel="frequency [Hz]", title="(b)")
+        _one_of_each(left, "upper left")
+        low, high = right.get_ylim()
+        right.set_ylim(low, high + 0.3 * (high - low))
+        _zone_legend(right, np.unique(diagram.zones).tolist())
+
+    caption = (
+        "Squeal cycle (solid) and separatrix (dashed) are one branch: (a) its peak displacement along the belt, with the"
+        " equilibrium at zero, (b) its frequency. Fine dots: the rig's own value."
+    )
+    return picture(name, caption, draw, columns=2, height=3.8)
+
+
+def multiplier_figure(diagram: Diagram, name: str = "multipliers") -> Picture:
+    """Multipliers besides 1 along the branch, in the complex plane and as their largest modulus."""
+    label, scale, shift = axis_of(diagram)
+    points = diagram.branch.points
+    at, stable = scale * points["parameter"] + shift, points["stable"]
+
+    def draw(axes: Any) -> None:
+        left, right = axes[0]
+        turn = np.linspace(0.0, 2.0 * np.pi, 361)
+        left.plot(np.cos(turn), np.sin(turn), "-", color="0.5", lw=1.0, label="unit circle")
+        for mask, color, marker, text in (
+            (stable, _STABLE, "o", "stable cycle"),
+            (~stable, _UNSTABLE, "x", "unstable cycle"),
+        ):
+            values = points["multipliers"][mask][:, 1:].ravel()
+            left.plot(values.real, values.imag, marker, color=color, ms=3.0, mfc="none", mew=0.7, ls="", label=text)
+        left.set(xlabel="Re", ylabel="Im", title="(a)")
+        left.set_aspect("equal", adjustable="datalim")
+        left.legend(loc="upper right")
+        _by_stability(right, at, points["largest_multiplier"], stable)
+        right.axhline(1.0, color="0.5", lw=1.0)
+        for special in diagram.branch.specials:
+            largest = float(np.abs(special.multipliers[1:]).max())
+            _mark(right, scale * special.parameter + shift, largest, special.kind)
+        right.set(xlabel=label, ylabel="largest modulus", title="(b)", ylim=(0.0, None))
+        _one_of_each(right, "best")
+
+    caption = (
+        "Multipliers of the cycles besides the 1 along the flow: (a) in the complex plane, one mark a point of the"
+        " branch; (b) the largest. A cycle is stable where all lie within the unit circle; at a fold one passes 1."
+    )
+    return picture(name, caption, draw, columns=2, height=3.8)
+
+
+def cycle_figure(diagram: Diagram, name: str = "cycles") -> Picture:
+    """The cycles at one value of the field: their path in the x-y plane, and the contact force over a period."""
+    rig = diagram.rig_of_cycles
+    separation = None
+
+    def draw(axes: Any) -> None:
+        nonlocal separation
+        left, right = axes[0]
+        for cycle in diagram.cycles:
+            color, line = (_STABLE, "-") if cycle.stable else (_UNSTABLE, "--")
+            text = f"{diagram.kind_of(cycle)}, {cycle.frequency:.1f} Hz"
+            path = 1e6 * from_rest(rig, _closed(cycle.states))
+            left.plot(path[:, 0], path[:, 1], color=color, ls=line, lw=1.3, label=text)
+            times = 1e3 * np.append(cycle.times, cycle.period)
+            right.plot(times, normal_force(rig, _closed(cycle.states)), color=color, ls=line, lw=1.3, label=text)
+        separation = 1e6 * from_rest(rig, np.array([[0.0, rig.pretension_length, 0.0, 0.0]]))[0, 1]
+        left.axhline(separation, color="0.4", lw=1.0, ls=":")
+        left.annotate(
+            "off the belt above", (0.02, separation), xycoords=("axes fraction", "data"), va="bottom", fontsize=8
+        )
+        left.plot(0.0, 0.0, "+", color="k", ms=8, label="equilibrium")
+        rest = normal_force(rig, np.array([[0.0, rig.pretension_length - separation * 1e-6, 0.0, 0.0]]))[0]
+        right.axhline(rest, color="0.4", lw=1.0, ls=":", label=f"at rest, {rest:.4g} N")
+        left.set(xlabel="x from rest [$\\mu$m]", ylabel="y from rest [$\\mu$m]", title="(a)")
+        right.set(xlabel="time [ms]", ylabel="contact force N [N]", title="(b)")
+        for axis in (left, right):
+            low, high = axis.get_ylim()
+            axis.set_ylim(low, high + 0.28 * (high - low))
+            axis.legend(loc="upper right", ncols=2 if axis is left else 1)
+
+    label, scale, shift = axis_of(diagram)
+    where = f"{label.split(' [')[0].replace('$', '').replace(chr(92) + 'mu', 'mu')} = {scale * diagram.begun_at + shift:.4g}"
+    caption = f"Cycles at {where}: (a) path of the pad along (x) and away from (y) the belt, (b) contact force."
+    return picture(name, caption, draw, columns=2, height=3.8)
+
+
+def zone_figure(chart: Chart, name: str = "zones") -> Picture:
+    """The three zones over preload and belt speed, lines of equal smallest hit, and the flutter threshold."""
+
+    def draw(axes: Any) -> None:
+        from matplotlib.ticker import MaxNLocator
+
+        axis, found = axes[0, 0], chart.map
+        codes = np.unique(found.zone).tolist()
+        for code in codes:
+            fill, _, hatch = _FILLS[code]
+            inside = np.where(found.zone == code, 1.0, 0.0)
+            axis.contourf(
+                chart.preloads, chart.speeds, inside, levels=[0.5, 1.5], colors=[fill], hatches=[hatch or None]
+            )
+        for border, color, width in ((found.fold_mu, _STABLE, 1.6), (found.flutter_mu, _UNSTABLE, 1.8)):
+            margin = found.mu - border
+            if np.isfinite(margin).all() and margin.min() < 0.0 < margin.max():
+                axis.contour(chart.preloads, chart.speeds, margin, levels=[0.0], colors=color, linewidths=width)
+        hits = np.where(found.zone == BISTABLE, found.smallest_hit, np.nan)
+        if np.isfinite(hits).any():
+            levels = MaxNLocator(8, steps=[1, 2, 2.5, 5, 10]).tick_values(0.0, float(np.nanmax(hits)))
+            levels = levels[(levels > 0.0) & (levels < np.nanmax(hits))]
+            if len(levels):
+                lines = axis.contour(
+                    chart.preloads, chart.speeds, hits, levels=levels, colors="#2166ac", linewidths=0.9
+                )
+                axis.clabel(lines, fmt=lambda value: f"{value:.4g}", fontsize=8)
+        axis.set(xlabel="preload F [N]", ylabel="belt speed V [m/s]")
+        axis.grid(visible=False)
+        _chart_legend(axis, codes)
+
+    caption = (
+        "Zones over preload and belt speed. Red: the flutter threshold, the one border that eigenvalues, and the paper,"
+        " know. Blue: smallest hit from rest that starts lasting squeal [N s], best direction. Black, where there is"
+        " one: the fold, below which nothing squeals."
+    )
+    return picture(name, caption, draw, height=4.6)
+
+
+def _own_value(diagram: Diagram) -> float:
+    rig = diagram.rig
+    return 0.5 * (rig.k1 + rig.k2) if diagram.field == PAD_STIFFNESS else float(getattr(rig, diagram.field))
+
+
+def _closed(states: Values) -> Values:
+    return np.vstack([states, states[:1]])
+
+
+def _shade(axis: Any, at: Values, zones: Any) -> None:
+    """Fill the zones behind a diagram."""
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(zones)) + 1, [len(zones) - 1]])
+    for first, last in zip(edges[:-1], edges[1:], strict=True):
+        fill, _, hatch = _FILLS[int(zones[first])]
+        axis.axvspan(at[first], at[last], facecolor=fill, hatch=hatch, edgecolor=_HATCH_COLOR, lw=0.0, zorder=0)
+
+
+def _equilibrium(axis: Any, at: Values, zones: Any) -> None:
+    """The equilibrium at zero: solid where stable."""
+    for kinds, line in (((QUIET, BISTABLE), "-"), ((SQUEAL,), "--")):
+        axis.plot(at, np.where(np.isin(zones, kinds), 0.0, np.nan), line, color="#2166ac", lw=1.8, label="equilibrium")
+
+
+def _by_stability(axis: Any, at: Values, values: Values, stable: Any) -> None:
+    """A curve, solid where the cycle is stable and dashed where not."""
+    for mask, color, line, text in (
+        (stable, _STABLE, "-", "squeal cycle, stable"),
+        (~stable, _UNSTABLE, "--", "unstable cycle: separatrix"),
+    ):
+        # A piece between two kinds of points is drawn with the first of them.
+        near = mask.copy()
+        near[1:] |= mask[:-1]
+        axis.plot(np.where(near, at, np.nan), np.where(near, values, np.nan), line, color=color, lw=1.4, label=text)
+
+
+def _mark_specials(axis: Any, diagram: Diagram, column: str, factor: float, scale: float, shift: float) -> None:
+    points = diagram.branch.points
+    spans = [float(np.ptp(points[name])) or 1.0 for name in ("parameter", "frequency")]
+    for special in diagram.branch.specials:
+        # The special point's own peak is that of the nearest point of the branch.
+        away = [
+            (points[name] - getattr(special, name)) / span
+            for name, span in zip(("parameter", "frequency"), spans, strict=True)
+        ]
+        i = int(np.argmin(np.hypot(*away)))
+        value = special.frequency if column == "frequency" else float(points[column][i])
+        _mark(axis, scale * special.parameter + shift, factor * value, special.kind)
+
+
+def _mark(axis: Any, at: float, value: float, kind: str) -> None:
+    axis.plot(at, value, _MARKS[kind], color="k", mfc="w", ms=6, zorder=5, label=kind)
+
+
+def _one_of_each(axis: Any, where: str) -> None:
+    """A legend without repetitions."""
+    handles, labels = axis.get_legend_handles_labels()
+    known = dict(zip(reversed(labels), reversed(handles), strict=True))
+    axis.legend([known[text] for text in dict.fromkeys(labels)], list(dict.fromkeys(labels)), loc=where)
+
+
+def _patches(codes: list[int]) -> list[Any]:
+    from matplotlib.patches import Patch
+
+    return [
+        Patch(facecolor=_FILLS[code][0], hatch=_FILLS[code][2], edgecolor="0.6", label=_FILLS[code][1])
+        for code in codes
+    ]
+
+
+def _zone_legend(axis: Any, codes: list[int]) -> None:
+    axis.legend(handles=_patches(codes), loc="upper right")
+
+
+def _chart_legend(axis: Any, codes: list[int]) -> None:
+    from matplotlib.lines import Line2D
+
+    lines = [
+        Line2D([], [], color=_UNSTABLE, lw=1.8, label="flutter threshold (all that the paper knows)"),
+        Line2D([], [], color="#2166ac", lw=0.9, label="smallest hit [N s]"),
+    ]
+    axis.figure.legend(handles=[*_patches(codes), *lines], loc="outside lower center", ncols=2)

@@ -1,0 +1,234 @@
+"""The commands `cycles` and `map`: a page with pictures, and the data beside; and their sections on other pages."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from squeal_rig.configuration.declared import declarations
+from squeal_rig.model.core.law import friction_coefficient
+from squeal_rig.model.cycles.cycle import SquealCycle
+from squeal_rig.model.cycles.path import refuse_what_has_no_cycles
+from squeal_rig.model.cycles.zone_map import BISTABLE, NAMES, QUIET, SQUEAL
+from squeal_rig.model.cycles.zones import Zone
+from squeal_rig.model.parameters import RigParameters
+from squeal_rig.report.page import DataTable, Section, check_folder, write_report
+from squeal_rig.studies.hard_squeal.branches import Diagram, branch_diagram, from_rest, normal_force
+from squeal_rig.studies.hard_squeal.chart import Chart, zone_chart
+from squeal_rig.studies.hard_squeal.figures import branch_figure, cycle_figure, multiplier_figure, zone_figure
+
+PAGE = "index.html"
+
+
+def run_cycles(
+    p: RigParameters, field: str, bounds: tuple[float, float] | None, folder: Path, force: bool, console: Console
+) -> None:
+    """Follow the squeal cycle of a rig along a field; write the page, its pictures and tables, and say what was found.
+
+    Raises:
+        DiskError: the folder has something in it, or cannot be written.
+        ModelError, ParameterError: as `branch_diagram`.
+    """
+    refuse_what_has_no_cycles(p)
+    check_folder(folder, force)
+    diagram = branch_diagram(p, field, bounds)
+    sections = list(cycle_sections(diagram))
+    lead = [_rig_text(p), _zone_text(diagram.zone)]
+    write_report(f"Squeal cycles along {field}", lead, sections, folder / PAGE, force)
+    console.print(_zone_text(diagram.zone))
+    for kind, value, frequency in _special_rows(diagram):
+        console.print(f"{kind}: {field} = {value:.6g}, {frequency:.1f} Hz")
+    console.print(f"page: {folder / PAGE}")
+
+
+def run_map(
+    p: RigParameters,
+    preloads: tuple[float, float],
+    speeds: tuple[float, float],
+    folder: Path,
+    force: bool,
+    console: Console,
+) -> None:
+    """Compute the zones over preload and belt speed; write the page, its picture and table, and say what was found.
+
+    Raises:
+        DiskError: the folder has something in it, or cannot be written.
+        ModelError, ParameterError: as `zone_chart`.
+    """
+    refuse_what_has_no_cycles(p)
+    check_folder(folder, force)
+    chart = zone_chart(p, preloads, speeds)
+    section = zone_section(chart)
+    write_report("Zones over preload and belt speed", [_rig_text(p)], [section], folder / PAGE, force)
+    for text in section.text:
+        console.print(text)
+    console.print(f"page: {folder / PAGE}")
+
+
+def cycle_sections(diagram: Diagram) -> Iterable[Section]:
+    """Branch, multipliers and cycles, with their tables."""
+    ends = [f"One end: {end.sentence}." for end in diagram.branch.ends]
+    yield Section(
+        f"The branch along {diagram.field}",
+        ends,
+        [special_table(diagram)],
+        [branch_figure(diagram)],
+        [branch_table(diagram)],
+    )
+    yield Section("Multipliers", pictures=[multiplier_figure(diagram)])
+    yield Section("The cycles", [], [cycle_table(diagram)], [cycle_figure(diagram)], [period_table(diagram)])
+
+
+def zone_section(chart: Chart, title: str = "Zones") -> Section:
+    """The map of zones with what it says in words."""
+    found = chart.map
+    text = [_shares_text(chart)]
+    hits = found.smallest_hit
+    if hits is not None and np.any(found.zone == BISTABLE):
+        inside = hits[found.zone == BISTABLE]
+        if np.isfinite(inside).any():
+            text.append(
+                f"In the bistable zone the smallest hit from rest that starts lasting squeal is up to"
+                f" {np.nanmax(inside):.3g} N s; hits are interpolated, and within {found.hit_error:.1%} of those"
+                " searched for one by one."
+            )
+    text += [f"No border: {reason}." for reason in found.reasons]
+    return Section(title, text, [], [zone_figure(chart)], [chart_table(chart)])
+
+
+def special_table(diagram: Diagram) -> DataTable:
+    """Folds, other bifurcations and both ends of the branch."""
+    rows = [list(row) for row in _special_rows(diagram)]
+    return DataTable("specials", "Special points and ends", ("what", _column(diagram), "frequency [Hz]"), rows)
+
+
+def branch_table(diagram: Diagram) -> DataTable:
+    """Every point of the branch."""
+    columns = [
+        _column(diagram), "mu [-]", "frequency [Hz]", "peak_x [m]", "peak_y [m]", "off_belt_share", "stable",
+        "largest_multiplier", *(f"multiplier_{i} {part}" for i in (2, 3, 4) for part in ("re", "im")),
+    ]  # fmt: skip
+    rows = []
+    for point in diagram.branch.points:
+        mu = friction_coefficient(diagram.rig_at(float(point["parameter"])))
+        multipliers = [part for m in point["multipliers"][1:] for part in (float(m.real), float(m.imag))]
+        numbers = [float(point[name]) for name in ("frequency", "peak_x", "peak_y", "off_belt_share")]
+        rows.append(
+            [
+                float(point["parameter"]),
+                mu,
+                *numbers,
+                bool(point["stable"]),
+                float(point["largest_multiplier"]),
+                *multipliers,
+            ]
+        )
+    return DataTable("branch", "Every point of the branch", columns, rows)
+
+
+def cycle_table(diagram: Diagram) -> DataTable:
+    """The cycles at one value of the field, one row each."""
+    columns = ("cycle", "frequency [Hz]", "peak_x [m]", "peak_y [m]", "off_belt_share", "multipliers besides 1")
+    rows = [
+        [diagram.kind_of(c), c.frequency, c.peak_x, c.peak_y, c.off_belt_share, _multipliers_text(c)]
+        for c in diagram.cycles
+    ]
+    return DataTable("cycles_summary", f"Cycles at {_column(diagram)} = {diagram.begun_at:.6g}", columns, rows)
+
+
+def period_table(diagram: Diagram) -> DataTable:
+    """One period of each cycle: states, and the contact force."""
+    columns = ("cycle", "t [s]", "x - x* [m]", "y - y* [m]", "vx [m/s]", "vy [m/s]", "N [N]")
+    rig, rows = diagram.rig_of_cycles, []
+    for cycle in diagram.cycles:
+        values = np.column_stack(
+            [cycle.times, from_rest(rig, cycle.states), cycle.states[:, 2:], normal_force(rig, cycle.states)]
+        )
+        rows += [[diagram.kind_of(cycle), *row] for row in values.tolist()]
+    return DataTable("cycles", "One period of each cycle", columns, rows)
+
+
+def chart_table(chart: Chart) -> DataTable:
+    """Every point of the map."""
+    found = chart.map
+    f, v = np.meshgrid(chart.preloads, chart.speeds)
+    hits = found.smallest_hit if found.smallest_hit is not None else np.full(f.shape, math.nan)
+    zones = [NAMES[code] for code in found.zone.ravel().tolist()]
+    numbers = (f, v, found.mu, found.fold_mu, found.flutter_mu, hits)
+    rows = [
+        [*row, name] for row, name in zip(zip(*(a.ravel().tolist() for a in numbers), strict=True), zones, strict=True)
+    ]
+    columns = ("F [N]", "V [m/s]", "mu [-]", "fold_mu [-]", "flutter_mu [-]", "smallest_hit [N s]", "zone")
+    return DataTable("zones", "Every point of the map", columns, rows)
+
+
+def _column(diagram: Diagram) -> str:
+    known = declarations(RigParameters)
+    unit = known["k1" if diagram.field == "pad_stiffness" else diagram.field].unit or "-"
+    return f"{diagram.field} [{unit}]"
+
+
+def _multipliers_text(cycle: SquealCycle) -> str:
+    texts = []
+    for m in cycle.multipliers[1:]:
+        if abs(m.imag) < 1e-12:
+            texts.append(f"{m.real:.6g}")
+        elif m.imag > 0.0:
+            texts.append(f"{m.real:.6g} ± {m.imag:.6g} i")
+    return ", ".join(texts)
+
+
+def _special_rows(diagram: Diagram) -> Iterable[tuple[str, float, float]]:
+    branch = diagram.branch
+    first, last = branch.ends
+    yield f"end: {first.how}", first.parameter, first.frequency
+    for special in branch.specials:
+        yield special.kind, special.parameter, special.frequency
+    yield f"end: {last.how}", last.parameter, last.frequency
+
+
+def _rig_text(p: RigParameters) -> str:
+    names = ("preload", "belt_speed", "k1", "k2", "damping_x", "damping_y")
+    known = declarations(RigParameters)
+    values = ", ".join(f"{name} = {getattr(p, name):.6g} {known[name].unit}".rstrip() for name in names)
+    return f"Rig: {values}; friction coefficient {friction_coefficient(p):.4g}."
+
+
+def _zone_text(zone: Zone) -> str:
+    """Zone and margins in a sentence."""
+    words = {"quiet": "no hit starts squeal that lasts", "bistable": "quiet until hit", "squeal": "squeals by itself"}
+    borders = []
+    for what, fold, flutter, form in (
+        ("mu", zone.fold_mu, zone.flutter_mu, ".4f"),
+        ("k [N/m]", zone.fold_pad_stiffness, zone.flutter_pad_stiffness, ".4g"),
+    ):
+        known = [
+            f"{name} at {value:{form}}"
+            for name, value in (("fold", fold), ("flutter", flutter))
+            if math.isfinite(value)
+        ]
+        borders.append(f"in {what}: {', '.join(known) or 'no border'}")
+    return f"Zone: {zone.name} ({words[zone.name]}), mu = {zone.mu:.4f}; borders {'; '.join(borders)}."
+
+
+def _shares_text(chart: Chart) -> str:
+    parts = [f"{NAMES[code]} {chart.share(code):.1%}" for code in (QUIET, BISTABLE, SQUEAL)]
+    parts += [f"{NAMES[code]} {chart.share(code):.1%}" for code in NAMES if code < 0 and chart.share(code) > 0.0]
+    found = chart.map
+    borders = []
+    for name, border in (("fold", found.fold_mu), ("flutter threshold", found.flutter_mu)):
+        if np.isfinite(border).any():
+            borders.append(f"{name} at mu = {_range_text(border)}")
+    low, high = float(np.nanmin(found.mu)), float(np.nanmax(found.mu))
+    text = f"Shares of the map: {', '.join(parts)}. The friction coefficient is {low:.3f} to {high:.3f}"
+    return text + (f", with the {' and the '.join(borders)}." if borders else ".")
+
+
+def _range_text(values: Any) -> str:
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    return f"{low:.4f}" if high - low < 1e-4 else f"{low:.4f} to {high:.4f}"
