@@ -22,7 +22,7 @@ help:
 	@echo "make fuzz       inputs that nobody means well, for two minutes (MINUTES=30: for longer); fuzz_findings/ has what it finds"
 	@echo "make lint       check style, types and imports"
 	@echo "make bench      measure speed against peers, and the live node; writes docs/benchmarks.md"
-	@echo "                ARGS=engine or ARGS=nodes for one of them, ARGS=\"nodes --minutes 10\" for the long run"
+	@echo "                ARGS=engine, ARGS=cycles or ARGS=nodes for one of them, ARGS=\"nodes --minutes 10\" for the long run"
 	@echo "make bench-bags long series of tests of bags; recording, replay, export at full load (half an hour)"
 	@echo "make docs       write docs/parameters.md anew from the code"
 	@echo "make evidence   search anew for docs/evidence/*.csv, half an hour"

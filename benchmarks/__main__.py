@@ -8,15 +8,16 @@ import platform
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from benchmarks import cycles
 from benchmarks.case import amplification, expected_states
 from benchmarks.peers import Point, all_points, real_time
 from benchmarks.throughput import ManyRuns, many_runs, map_times, propagation_speed, trajectory_speed
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 ASKED = 1e-6
-PARTS = ("engine", "nodes")
-#: The section of the live node comes last; each part is written anew without the other.
-NODES = "## The live node\n"
+PARTS = ("engine", "cycles", "nodes")
+#: Sections in this order after the engine's; each part is written anew without the others.
+CYCLES, NODES = "## Cycles and hits\n", "## The live node\n"
 
 
 def machine() -> str:
@@ -181,13 +182,18 @@ def main() -> None:
     DOCS.mkdir(exist_ok=True)
     page = DOCS / "benchmarks.md"
     above, _, below = page.read_text(encoding="utf-8").partition(NODES) if page.is_file() else ("", "", "")
-    if arguments.part != "engine":
-        from benchmarks.nodes import section  # the engine's figures need no ROS
+    above, _, between = above.partition(CYCLES)
+    asked = PARTS if arguments.part is None else (arguments.part,)
+    if "nodes" in asked:
+        from benchmarks.nodes import section  # the other figures need no ROS
 
         below = f"\n{section(arguments.minutes)}"
-    if arguments.part != "nodes":
+    if "cycles" in asked:
+        between = f"\n{cycles.section()}"
+    if "engine" in asked:
         above = engine()
-    page.write_text(f"{above.rstrip()}\n\n{NODES}{below}" if below else above, encoding="utf-8")
+    parts = [above, CYCLES + between if between else "", NODES + below if below else ""]
+    page.write_text("\n\n".join(part.rstrip() for part in parts if part) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ RTOL, ATOL = 1e-12, 1e-18
 
 
 @numba.njit  # not cached: the tests and the benchmarks know this module by two names
-def _derivative(z, q, contact, scale, out):
+def derivative(z, q, contact, scale, out):
     """Right-hand side in units of `scale`, the contact spring kept on or off whatever y is (smooth past the event)."""
     x, y, vx, vy = z[0] * scale[0], z[1] * scale[1], z[2] * scale[2], z[3] * scale[3]
     fx, fy = spring_force(x, y, q)
@@ -35,7 +35,7 @@ def reference(p: RigParameters, start, times):
     def solve(z, t0, t1, contact, event=None, t_eval=None):
         def f(t, z):
             out = np.empty(4)
-            _derivative(z, q, contact, scale, out)
+            derivative(z, q, contact, scale, out)
             return out
 
         return solve_ivp(f, (t0, t1), z, method="DOP853", rtol=RTOL, atol=ATOL / length, events=event, t_eval=t_eval)

@@ -83,27 +83,27 @@ def hard_branch(path: Path, low: float, high: float) -> HardBranch:
 
     def passed(found: Trace) -> bool:
         # Over the fold and back at the rig's own value: both cycles are known there.
-        if len(found.orbits) < 2:
-            return False
+        folds = [s.orbit for s in found.specials if s.kind == FOLD]
         before, after = found.orbits[-2], found.orbits[-1]
-        crossed = (before.parameter - value) * (after.parameter - value) <= 0.0 and after.separates
-        if crossed:
-            middle = before.unknowns + (after.unknowns - before.unknowns) * (
-                (value - before.parameter) / (after.parameter - before.parameter)
-            )
-            orbit = shooter.close_at(middle, value)
-            if orbit is not None and orbit.separates:
-                # Past the fold it is the squeal cycle, also where that has become unstable in its turn.
-                if orbit.stable or any(s.kind == FOLD for s in found.specials):
-                    branch.squeal = orbit
-                else:
-                    branch.separatrix = orbit
-        folds = [s for s in found.specials if s.kind == FOLD]
+        # A fold between the last two points is a point of its own: both sides of it may lie within one step.
+        fresh = folds[-1] if folds and folds[-1] is not seen[-1] else None
+        stretches = [(before, after)] if fresh is None else [(fresh, before), (fresh, after)]
+        seen.append(fresh or seen[-1])
+        for near, far in stretches:
+            orbit = _crossing(shooter, near, far, value, near is fresh)
+            if orbit is None:
+                continue
+            # Past the fold it is the squeal cycle, also where that has become unstable in its turn.
+            if orbit.stable or (folds and far is after):
+                branch.squeal = orbit
+            else:
+                branch.separatrix = orbit
         if not folds:
             return branch.squeal is not None
-        inside = (folds[0].orbit.parameter - value) * (threshold - folds[0].orbit.parameter) <= 0.0
+        inside = (folds[0].parameter - value) * (threshold - folds[0].parameter) <= 0.0
         return branch.squeal is not None or not inside
 
+    seen: list[Orbit | None] = [None]
     found = trace(shooter, start, tangent, low, high, _POINTS, COARSE, passed)
     branch.found = found
     if branch.squeal is not None:
@@ -117,3 +117,33 @@ def hard_branch(path: Path, low: float, high: float) -> HardBranch:
     else:
         branch.reason = f"the branch from the flutter threshold has no fold: {found.sentence}"
     return branch
+
+
+def _crossing(shooter: Shooter, near: Orbit, far: Orbit, value: float, from_fold: bool) -> Orbit | None:
+    """The orbit at a value of the parameter between two neighbours on a branch, None where it is not between them.
+
+    From a fold on, the motion goes with the square root of the parameter's distance.
+    """
+    apart = far.parameter - near.parameter
+    share = (value - near.parameter) / apart if apart != 0.0 else -1.0
+    if not (0.0 <= share <= 1.0 and far.separates):
+        return None
+    along = math.sqrt(share) if from_fold else share
+    orbit = shooter.close_at(near.unknowns + along * (far.unknowns - near.unknowns), value)
+    return orbit if orbit is not None and orbit.separates else None
+
+
+def fold_below(path: Path, orbit: Orbit) -> float:
+    """The fold that the branch through an orbit of the path's rig comes to towards smaller values; nan if none."""
+    shooter = shooter_at(path, path.value, orbit.period, path.value or 1.0)
+    start = shooter.close_at(orbit.unknowns, path.value)
+    down = None if start is None else shooter.tangent(start, np.array([0.0, 0.0, 0.0, 0.0, 0.0, -1.0]))
+    if start is None or down is None:
+        return math.nan
+
+    def folded(found: Trace) -> bool:
+        return any(s.kind == FOLD for s in found.specials)
+
+    low = max(path.lower, _SOFTEST * path.value)
+    found = trace(shooter, start, down, low, path.upper, _POINTS, COARSE, folded)
+    return next((s.orbit.parameter for s in found.specials if s.kind == FOLD), math.nan)

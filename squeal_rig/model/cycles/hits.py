@@ -299,4 +299,5 @@ def _wilson(successes: int, samples: int) -> tuple[float, float]:
     share, z2 = successes / samples, _QUANTILE**2
     centre = (share + 0.5 * z2 / samples) / (1.0 + z2 / samples)
     half = _QUANTILE / (1.0 + z2 / samples) * math.sqrt(share * (1.0 - share) / samples + 0.25 * z2 / samples**2)
-    return max(0.0, centre - half), min(1.0, centre + half)
+    # Exact where none or all do: rounding leaves a last bit.
+    return (max(0.0, centre - half) if successes else 0.0), (min(1.0, centre + half) if successes < samples else 1.0)

@@ -63,7 +63,7 @@ class ZoneMap:
 
 @dataclass
 class _Machine:
-    """Both borders of one machine in mu, at the nodes of the preload, and the scaled hit over the share between them."""
+    """Both borders of one machine in mu, at the nodes of the preload; the scaled hit over the share between them."""
 
     fold: Vector
     flutter: Vector

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from squeal_rig.model.core.law import friction_coefficient
 from squeal_rig.model.core.statics import equilibrium
-from squeal_rig.model.cycles.border import hard_branch
+from squeal_rig.model.cycles.border import fold_below, hard_branch
 from squeal_rig.model.cycles.cycle import DIES_OUT, FOUND, LEFT_BOUNDS, SquealCycle, cycle_of, squeal_cycle
 from squeal_rig.model.cycles.path import PAD_STIFFNESS, Path, refuse_what_has_no_cycles
 from squeal_rig.model.cycles.shooting import Orbit
@@ -102,6 +102,10 @@ def located(p: RigParameters) -> Located:
     mu = hard_branch(in_mu, in_mu.lower, in_mu.upper)
     k = hard_branch(in_k, in_k.lower, in_k.upper)
     reasons = [f"in {name}: {branch.reason}" for name, branch in (("mu", mu), ("k", k)) if branch.reason]
+    fold_in_k = k.fold
+    if mu.squeal is not None and not math.isfinite(k.fold):
+        # No flutter threshold at this friction, yet squeal: its branch in k has a fold all the same.
+        fold_in_k = fold_below(in_k, mu.squeal)
     unstable = growth(in_mu.packed(in_mu.value)) > 0.0
     cycle = None
     if mu.squeal is not None:
@@ -124,7 +128,7 @@ def located(p: RigParameters) -> Located:
         mu.fold + offset,
         mu.threshold + offset,
         in_k.value,
-        k.fold,
+        fold_in_k,
         k.threshold,
         cycle,
         None if separatrix is None else cycle_of(in_mu, separatrix),

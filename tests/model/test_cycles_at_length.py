@@ -1,0 +1,85 @@
+"""The same at length, run by `make test-slow`: thirty rigs, two hundred points by force, five hundred hits."""
+
+import math
+
+import numpy as np
+import pytest
+
+from squeal_rig.model import contact_events, displaced_state, eigenvalues, safe_hit, smallest_hit, squeal_cycle, zone
+from squeal_rig.model.motion.trajectory import Motion
+
+from .hard_rigs import (
+    flutter_by_eigenvalues,
+    followed,
+    random_hard_rig,
+    random_point,
+    share_on_belt_after,
+    zone_by_force,
+)
+
+pytestmark = pytest.mark.slow
+
+
+def test_thirty_branches_meet_the_flutter_threshold():
+    rng = np.random.default_rng(11)
+    for _ in range(30):
+        p = random_hard_rig(rng)
+        found, threshold = followed(p)
+        mu, frequency = flutter_by_eigenvalues(p, threshold)
+        end = next(end for end in found.ends if end.how == "flutter threshold")
+        assert end.parameter == pytest.approx(mu, rel=1e-4)
+        assert end.frequency == pytest.approx(frequency, rel=1e-4)
+        assert np.max(found.points["flow_error"]) < 1e-9
+        assert np.max(found.points["volume_error"]) < 1e-9
+
+
+def test_two_hundred_zones_agree_with_brute_force_but_for_thin_basins():
+    rng = np.random.default_rng(5)
+    thin = []
+    for _ in range(200):
+        p = random_point(rng)
+        found, (expected, _, _) = zone(p), zone_by_force(p)
+        if found.name == expected:
+            continue
+        # The cycle is there and holds the motion, but hits in eight directions pass over its thin basin.
+        assert (found.name, expected) == ("bistable", "quiet")
+        assert found.squeal.stable
+        assert found.mu < 1.1 * found.fold_mu
+        settle = 10.0 / -np.max(eigenvalues(p).real)
+        assert share_on_belt_after(p, found.squeal.state, settle) < 0.9999
+        thin.append(found.mu / found.fold_mu)
+    assert len(thin) < 10
+
+
+def test_five_hundred_safe_hits_are_below_the_smallest():
+    rng = np.random.default_rng(7)
+    ratios = []
+    while len(ratios) < 500:
+        p = random_point(rng)
+        hit = smallest_hit(p, beyond=1.0)
+        if hit.found and hit.impulse > 0.0:
+            ratios.append(safe_hit(p) / hit.bracket[1])
+    assert max(ratios) <= 1.0
+    # A bound that is of use: half of them within a factor of two.
+    assert np.median(ratios) > 0.5
+
+
+def test_settled_squeal_has_the_cycles_frequency_wherever_it_is_reached():
+    rng = np.random.default_rng(9)
+    compared = 0
+    for _ in range(60):
+        p = random_point(rng)
+        found = squeal_cycle(p)
+        if not (found.found and found.stable):
+            continue
+        slowest = -math.log(np.max(np.abs(found.multipliers[1:]))) * found.frequency
+        motion, block = Motion(p, 51200.0, displaced_state(p, 3.0)), np.empty((512, 6))
+        for _ in range(int(min(25.0 / slowest, 60.0) * 100.0) + 1):
+            motion.advance(block)
+        events = contact_events(p, 0.2, initial_state=motion.state)
+        leaves = events.time[events.leaves]
+        if len(leaves) < 3:
+            continue  # it died out from this start
+        compared += 1
+        assert (len(leaves) - 1) / (leaves[-1] - leaves[0]) == pytest.approx(found.frequency, rel=1e-5)
+    assert compared > 20
