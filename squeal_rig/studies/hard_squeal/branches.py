@@ -127,7 +127,7 @@ def _zones_along(path: Path, branch: Branch) -> tuple[Values, NDArray[np.int64]]
     """
     at = branch.points["parameter"]
     low, high = float(at.min()), float(at.max())
-    room = 0.06 * (high - low)
+    room = 0.1 * (high - low)
     open_ends = [end.parameter for end in branch.ends if end.how in (BOUND, LOST)]
     if low not in open_ends:
         low = max(path.lower, low - room)

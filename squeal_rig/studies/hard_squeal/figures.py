@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from squeal_rig.configuration.declared import declarations
 from squeal_rig.model.core.law import friction_coefficient
@@ -25,7 +28,7 @@ _FILLS = {
 }
 _STABLE, _UNSTABLE = "#000000", "#b2182b"
 _MARKS = {"fold": "o", "period doubling": "s", "Neimark-Sacker": "^"}
-_HATCH_COLOR = "#d79a93"
+_HATCH_COLOR, _HIT = "#d79a93", "#2166ac"
 
 
 def axis_of(diagram: Diagram) -> tuple[str, float, float]:
@@ -38,51 +41,58 @@ def axis_of(diagram: Diagram) -> tuple[str, float, float]:
     return diagram.field + (f" [{unit}]" if unit else ""), 1.0, 0.0
 
 
+def value_text(diagram: Diagram, value: float) -> str:
+    """A value of the field in words, with the friction coefficient that mu0 gives."""
+    if diagram.field == "mu0":
+        return f"mu = {value + axis_of(diagram)[2]:.6g} (mu0 = {value:.6g})"
+    unit = declarations(RigParameters)["k1" if diagram.field == PAD_STIFFNESS else diagram.field].unit
+    return f"{diagram.field} = {value:.6g} {unit}".rstrip()
+
+
 def branch_figure(diagram: Diagram, name: str = "branch") -> Picture:
     """Peak of x and frequency along the branch, the equilibrium, the folds, and the zones behind."""
     label, scale, shift = axis_of(diagram)
-    points = diagram.branch.points
-    at = scale * points["parameter"] + shift
+    curve, over = _curve(diagram), scale * diagram.values + shift
 
     def draw(axes: Any) -> None:
         left, right = axes[0]
-        for axis in (left, right):
-            _shade(axis, scale * diagram.values + shift, diagram.zones)
-            axis.set(xlabel=label, xlim=(scale * diagram.values[0] + shift, scale * diagram.values[-1] + shift))
-        _equilibrium(left, scale * diagram.values + shift, diagram.zones)
-        peak = points["peak_x"] * 1e6
-        _by_stability(left, at, peak, points["stable"])
+        for axis, values in ((left, curve.peak), (right, curve.frequency)):
+            _shade(axis, over, diagram.zones)
+            axis.axvline(scale * _own_value(diagram) + shift, color="0.45", ls=(0, (1, 2)), lw=1.0)
+            if axis is left:
+                _equilibrium(axis, over, diagram.zones)
+            curve.draw(axis, values)
+            _mark_specials(axis, diagram, curve, values)
+            axis.set(xlabel=label, xlim=(over[0], over[-1]))
         for end, i in zip(diagram.branch.ends, (0, -1), strict=True):
             if end.how == FLUTTER:  # the linear mode at its threshold, of any amplitude up to separation
-                left.plot([at[i], at[i]], [0.0, peak[i]], ":", color=_UNSTABLE, lw=1.2, label="linear mode")
-        _by_stability(right, at, points["frequency"], points["stable"])
-        for axis, column, factor in ((left, "peak_x", 1e6), (right, "frequency", 1.0)):
-            _mark_specials(axis, diagram, column, factor, scale, shift)
-            axis.axvline(scale * _own_value(diagram) + shift, color="0.45", ls=(0, (1, 2)), lw=1.0, label="_")
-        left.set(ylabel="peak of x from rest [$\\mu$m]", title="(a)", ylim=(-0.03 * peak.max(), 1.3 * peak.max()))
-        right.set(ylabel="frequency [Hz]", title="(b)")
+                text = "linear mode at its threshold"
+                left.plot([curve.at[i]] * 2, [0.0, curve.peak[i]], ":", color=_UNSTABLE, lw=1.4, label=text)
+        top = float(curve.peak.max())
+        left.set(ylabel="peak of x from rest [$\\mu$m]", title="(a)", ylim=(-0.03 * top, 1.45 * top))
+        low, high = float(curve.frequency.min()), float(curve.frequency.max())
+        room = 0.05 * (high - low) or 1.0
+        right.set(ylabel="frequency [Hz]", title="(b)", ylim=(low - room, high + 6.0 * room))
         _one_of_each(left, "upper left")
-        low, high = right.get_ylim()
-        right.set_ylim(low, high + 0.3 * (high - low))
         _zone_legend(right, np.unique(diagram.zones).tolist())
 
     caption = (
-        "Squeal cycle (solid) and separatrix (dashed) are one branch: (a) its peak displacement along the belt, with the"
-        " equilibrium at zero, (b) its frequency. Fine dots: the rig's own value."
+        "Squeal cycle (solid) and separatrix (dashed) are one branch: (a) its peak displacement along the belt, with"
+        " the equilibrium at zero, (b) its frequency. Fine dots: the rig's own value."
     )
     return picture(name, caption, draw, columns=2, height=3.8)
 
 
 def multiplier_figure(diagram: Diagram, name: str = "multipliers") -> Picture:
     """Multipliers besides 1 along the branch, in the complex plane and as their largest modulus."""
-    label, scale, shift = axis_of(diagram)
-    points = diagram.branch.points
-    at, stable = scale * points["parameter"] + shift, points["stable"]
+    label, _, _ = axis_of(diagram)
+    points, curve = diagram.branch.points, _curve(diagram)
 
     def draw(axes: Any) -> None:
         left, right = axes[0]
         turn = np.linspace(0.0, 2.0 * np.pi, 361)
         left.plot(np.cos(turn), np.sin(turn), "-", color="0.5", lw=1.0, label="unit circle")
+        stable = points["stable"]
         for mask, color, marker, text in (
             (stable, _STABLE, "o", "stable cycle"),
             (~stable, _UNSTABLE, "x", "unstable cycle"),
@@ -91,17 +101,15 @@ def multiplier_figure(diagram: Diagram, name: str = "multipliers") -> Picture:
             left.plot(values.real, values.imag, marker, color=color, ms=3.0, mfc="none", mew=0.7, ls="", label=text)
         left.set(xlabel="Re", ylabel="Im", title="(a)")
         left.set_aspect("equal", adjustable="datalim")
-        left.legend(loc="upper right")
-        _by_stability(right, at, points["largest_multiplier"], stable)
+        left.legend(loc="upper left")
+        curve.draw(right, curve.largest)
         right.axhline(1.0, color="0.5", lw=1.0)
-        for special in diagram.branch.specials:
-            largest = float(np.abs(special.multipliers[1:]).max())
-            _mark(right, scale * special.parameter + shift, largest, special.kind)
-        right.set(xlabel=label, ylabel="largest modulus", title="(b)", ylim=(0.0, None))
+        _mark_specials(right, diagram, curve, curve.largest)
+        right.set(xlabel=label, ylabel="largest modulus", title="(b)", ylim=(0.0, 1.1 * float(curve.largest.max())))
         _one_of_each(right, "best")
 
     caption = (
-        "Multipliers of the cycles besides the 1 along the flow: (a) in the complex plane, one mark a point of the"
+        "Multipliers of the cycles besides the 1 along the flow: (a) in the complex plane, three marks a point of the"
         " branch; (b) the largest. A cycle is stable where all lie within the unit circle; at a fold one passes 1."
     )
     return picture(name, caption, draw, columns=2, height=3.8)
@@ -137,8 +145,7 @@ def cycle_figure(diagram: Diagram, name: str = "cycles") -> Picture:
             axis.set_ylim(low, high + 0.28 * (high - low))
             axis.legend(loc="upper right", ncols=2 if axis is left else 1)
 
-    label, scale, shift = axis_of(diagram)
-    where = f"{label.split(' [')[0].replace('$', '').replace(chr(92) + 'mu', 'mu')} = {scale * diagram.begun_at + shift:.4g}"
+    where = value_text(diagram, diagram.begun_at)
     caption = f"Cycles at {where}: (a) path of the pad along (x) and away from (y) the belt, (b) contact force."
     return picture(name, caption, draw, columns=2, height=3.8)
 
@@ -147,39 +154,48 @@ def zone_figure(chart: Chart, name: str = "zones") -> Picture:
     """The three zones over preload and belt speed, lines of equal smallest hit, and the flutter threshold."""
 
     def draw(axes: Any) -> None:
-        from matplotlib.ticker import MaxNLocator
-
         axis, found = axes[0, 0], chart.map
-        codes = np.unique(found.zone).tolist()
-        for code in codes:
+        for code in np.unique(found.zone).tolist():
             fill, _, hatch = _FILLS[code]
             inside = np.where(found.zone == code, 1.0, 0.0)
-            axis.contourf(
+            area = axis.contourf(
                 chart.preloads, chart.speeds, inside, levels=[0.5, 1.5], colors=[fill], hatches=[hatch or None]
             )
-        for border, color, width in ((found.fold_mu, _STABLE, 1.6), (found.flutter_mu, _UNSTABLE, 1.8)):
+            area.set_edgecolor(_HATCH_COLOR)
+            area.set_linewidth(0.0)
+        for border, color, width in ((found.fold_mu, _STABLE, 1.6), (found.flutter_mu, _UNSTABLE, 2.0)):
             margin = found.mu - border
             if np.isfinite(margin).all() and margin.min() < 0.0 < margin.max():
                 axis.contour(chart.preloads, chart.speeds, margin, levels=[0.0], colors=color, linewidths=width)
-        hits = np.where(found.zone == BISTABLE, found.smallest_hit, np.nan)
-        if np.isfinite(hits).any():
-            levels = MaxNLocator(8, steps=[1, 2, 2.5, 5, 10]).tick_values(0.0, float(np.nanmax(hits)))
-            levels = levels[(levels > 0.0) & (levels < np.nanmax(hits))]
-            if len(levels):
-                lines = axis.contour(
-                    chart.preloads, chart.speeds, hits, levels=levels, colors="#2166ac", linewidths=0.9
-                )
-                axis.clabel(lines, fmt=lambda value: f"{value:.4g}", fontsize=8)
+        _hit_lines(axis, chart)
         axis.set(xlabel="preload F [N]", ylabel="belt speed V [m/s]")
         axis.grid(visible=False)
-        _chart_legend(axis, codes)
+        _chart_legend(axis, chart)
 
     caption = (
         "Zones over preload and belt speed. Red: the flutter threshold, the one border that eigenvalues, and the paper,"
-        " know. Blue: smallest hit from rest that starts lasting squeal [N s], best direction. Black, where there is"
-        " one: the fold, below which nothing squeals."
+        " know. Blue: smallest hit from rest that starts lasting squeal [N s], in the best direction. Black, where it"
+        " lies in the picture: the fold, below which nothing squeals."
     )
-    return picture(name, caption, draw, height=4.6)
+    return picture(name, caption, draw, height=4.8)
+
+
+def _hit_lines(axis: Any, chart: Chart) -> None:
+    """Lines of equal smallest hit, labelled [N s]."""
+    from matplotlib.ticker import MaxNLocator
+
+    found = chart.map
+    if found.smallest_hit is None:
+        return
+    hits = np.where(found.zone == BISTABLE, found.smallest_hit, np.nan)
+    if not np.isfinite(hits).any():
+        return
+    low, high = float(np.nanmin(hits)), float(np.nanmax(hits))
+    levels = MaxNLocator(10, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high)
+    levels = levels[(levels > max(low, 0.0)) & (levels < high)]
+    if len(levels):
+        lines = axis.contour(chart.preloads, chart.speeds, hits, levels=levels, colors=_HIT, linewidths=0.9)
+        axis.clabel(lines, fmt=lambda value: f"{value:.4g}", fontsize=8)
 
 
 def _own_value(diagram: Diagram) -> float:
@@ -194,7 +210,7 @@ def _closed(states: Values) -> Values:
 def _shade(axis: Any, at: Values, zones: Any) -> None:
     """Fill the zones behind a diagram."""
     edges = np.concatenate([[0], np.flatnonzero(np.diff(zones)) + 1, [len(zones) - 1]])
-    for first, last in zip(edges[:-1], edges[1:], strict=True):
+    for first, last in pairwise(edges.tolist()):
         fill, _, hatch = _FILLS[int(zones[first])]
         axis.axvspan(at[first], at[last], facecolor=fill, hatch=hatch, edgecolor=_HATCH_COLOR, lw=0.0, zorder=0)
 
@@ -202,33 +218,69 @@ def _shade(axis: Any, at: Values, zones: Any) -> None:
 def _equilibrium(axis: Any, at: Values, zones: Any) -> None:
     """The equilibrium at zero: solid where stable."""
     for kinds, line in (((QUIET, BISTABLE), "-"), ((SQUEAL,), "--")):
-        axis.plot(at, np.where(np.isin(zones, kinds), 0.0, np.nan), line, color="#2166ac", lw=1.8, label="equilibrium")
+        axis.plot(at, np.where(np.isin(zones, kinds), 0.0, np.nan), line, color=_HIT, lw=1.8, label="equilibrium")
 
 
-def _by_stability(axis: Any, at: Values, values: Values, stable: Any) -> None:
-    """A curve, solid where the cycle is stable and dashed where not."""
-    for mask, color, line, text in (
-        (stable, _STABLE, "-", "squeal cycle, stable"),
-        (~stable, _UNSTABLE, "--", "unstable cycle: separatrix"),
-    ):
-        # A piece between two kinds of points is drawn with the first of them.
-        near = mask.copy()
-        near[1:] |= mask[:-1]
-        axis.plot(np.where(near, at, np.nan), np.where(near, values, np.nan), line, color=color, lw=1.4, label=text)
+@dataclass(frozen=True)
+class _Curve:
+    """What is drawn of a branch, along it: its points with the special ones between them, where curves change style."""
+
+    at: Values
+    peak: Values
+    frequency: Values
+    largest: Values
+    stable: NDArray[np.bool_]
+    special: NDArray[np.bool_]
+
+    def draw(self, axis: Any, values: Values) -> None:
+        """Draw values over the field, solid where the cycle is stable and dashed where not."""
+        for kind, color, line, text in (
+            (self.stable, _STABLE, "-", "squeal cycle, stable"),
+            (~self.stable, _UNSTABLE, "--", "unstable cycle: separatrix"),
+        ):
+            # A special point belongs to both sides; a change without one is drawn with the point before it.
+            shown = kind | self.special
+            shown[:-1] |= kind[1:] & ~self.special[1:] & ~self.special[:-1]
+            axis.plot(
+                np.where(shown, self.at, np.nan), np.where(shown, values, np.nan), line, color=color, lw=1.4, label=text
+            )
 
 
-def _mark_specials(axis: Any, diagram: Diagram, column: str, factor: float, scale: float, shift: float) -> None:
-    points = diagram.branch.points
+def _curve(diagram: Diagram) -> _Curve:
+    points, (_, scale, shift) = diagram.branch.points, axis_of(diagram)
+    stable = points["stable"].copy()
+    for end, last, before in zip(diagram.branch.ends, (0, -1), (1, -2), strict=True):
+        if end.how == FLUTTER and len(stable) > 1:
+            stable[last] = stable[before]  # the linear mode, whose multiplier is 1 but for rounding
+    columns = np.column_stack(
+        [points["parameter"], points["peak_x"], points["frequency"], points["largest_multiplier"], stable, 0.0 * stable]
+    )
     spans = [float(np.ptp(points[name])) or 1.0 for name in ("parameter", "frequency")]
+    rows, places = [], []
     for special in diagram.branch.specials:
-        # The special point's own peak is that of the nearest point of the branch.
-        away = [
-            (points[name] - getattr(special, name)) / span
-            for name, span in zip(("parameter", "frequency"), spans, strict=True)
-        ]
-        i = int(np.argmin(np.hypot(*away)))
-        value = special.frequency if column == "frequency" else float(points[column][i])
-        _mark(axis, scale * special.parameter + shift, factor * value, special.kind)
+        away = np.hypot(
+            (points["parameter"] - special.parameter) / spans[0], (points["frequency"] - special.frequency) / spans[1]
+        )
+        # It lies between the two neighbours that are nearest together; its peak by the share of the way in frequency.
+        i = int(np.argmin(away[:-1] + away[1:]))
+        first, second = columns[i], columns[i + 1]
+        apart = second[2] - first[2]
+        share = (special.frequency - first[2]) / apart if apart != 0.0 else 0.5
+        largest = float(np.abs(special.multipliers[1:]).max())
+        peak = first[1] + share * (second[1] - first[1])
+        rows.append([special.parameter, peak, special.frequency, largest, second[4], 1.0])
+        places.append(i + 1)
+    if rows:
+        columns = np.insert(columns, places, rows, axis=0)
+    at, peak, frequency, largest_modulus, kinds, specials = columns.T
+    return _Curve(scale * at + shift, 1e6 * peak, frequency, largest_modulus, kinds > 0.5, specials > 0.5)
+
+
+def _mark_specials(axis: Any, diagram: Diagram, curve: _Curve, values: Values) -> None:
+    _, scale, shift = axis_of(diagram)
+    for special in diagram.branch.specials:
+        i = int(np.argmin(np.where(curve.special, np.abs(curve.frequency - special.frequency), np.inf)))
+        _mark(axis, scale * special.parameter + shift, float(values[i]), special.kind)
 
 
 def _mark(axis: Any, at: float, value: float, kind: str) -> None:
@@ -255,11 +307,15 @@ def _zone_legend(axis: Any, codes: list[int]) -> None:
     axis.legend(handles=_patches(codes), loc="upper right")
 
 
-def _chart_legend(axis: Any, codes: list[int]) -> None:
+def _chart_legend(axis: Any, chart: Chart) -> None:
     from matplotlib.lines import Line2D
 
+    codes = [QUIET, BISTABLE, SQUEAL] + [NOT_IN_CONTACT] * (chart.share(NOT_IN_CONTACT) > 0.0)
+    patches = _patches(codes)
+    for patch, code in zip(patches, codes, strict=True):
+        patch.set_label(f"{patch.get_label()}, {chart.share(code):.0%}")
     lines = [
-        Line2D([], [], color=_UNSTABLE, lw=1.8, label="flutter threshold (all that the paper knows)"),
-        Line2D([], [], color="#2166ac", lw=0.9, label="smallest hit [N s]"),
+        Line2D([], [], color=_UNSTABLE, lw=2.0, label="flutter threshold: all that the paper knows"),
+        Line2D([], [], color=_HIT, lw=0.9, label="smallest hit [N s]"),
     ]
-    axis.figure.legend(handles=[*_patches(codes), *lines], loc="outside lower center", ncols=2)
+    axis.figure.legend(handles=[*patches, *lines], loc="outside lower center", ncols=2)

@@ -20,7 +20,13 @@ from squeal_rig.model.parameters import RigParameters
 from squeal_rig.report.page import DataTable, Section, check_folder, write_report
 from squeal_rig.studies.hard_squeal.branches import Diagram, branch_diagram, from_rest, normal_force
 from squeal_rig.studies.hard_squeal.chart import Chart, zone_chart
-from squeal_rig.studies.hard_squeal.figures import branch_figure, cycle_figure, multiplier_figure, zone_figure
+from squeal_rig.studies.hard_squeal.figures import (
+    branch_figure,
+    cycle_figure,
+    multiplier_figure,
+    value_text,
+    zone_figure,
+)
 
 PAGE = "index.html"
 
@@ -42,7 +48,7 @@ def run_cycles(
     write_report(f"Squeal cycles along {field}", lead, sections, folder / PAGE, force)
     console.print(_zone_text(diagram.zone))
     for kind, value, frequency in _special_rows(diagram):
-        console.print(f"{kind}: {field} = {value:.6g}, {frequency:.1f} Hz")
+        console.print(f"{kind}: {value_text(diagram, value)}, {frequency:.1f} Hz")
     console.print(f"page: {folder / PAGE}")
 
 
@@ -138,7 +144,7 @@ def cycle_table(diagram: Diagram) -> DataTable:
         [diagram.kind_of(c), c.frequency, c.peak_x, c.peak_y, c.off_belt_share, _multipliers_text(c)]
         for c in diagram.cycles
     ]
-    return DataTable("cycles_summary", f"Cycles at {_column(diagram)} = {diagram.begun_at:.6g}", columns, rows)
+    return DataTable("cycles_summary", f"Cycles at {value_text(diagram, diagram.begun_at)}", columns, rows)
 
 
 def period_table(diagram: Diagram) -> DataTable:
