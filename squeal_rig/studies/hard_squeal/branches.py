@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,21 +34,19 @@ class Diagram:
 
     - rig, zone: the rig that was asked for and its zone; `begun_at` is the value of the field at which the branch was
       begun: the rig's own, or one between both borders where the rig itself has no cycle
+    - branches: that of the squeal cycle, and that of the separatrix where both do not meet within the range
     - cycles: those at `begun_at`
     - values (n,), zones (n,): zone codes of `zone_map` over the part of the field that the branch tells of
     """
 
     rig: RigParameters
     zone: Zone
-    branch: Branch
+    field: str
+    branches: tuple[Branch, ...]
     begun_at: float
     cycles: list[SquealCycle]
     values: Values
     zones: NDArray[np.int64]
-
-    @property
-    def field(self) -> str:
-        return self.branch.field
 
     @property
     def rig_of_cycles(self) -> RigParameters:
@@ -88,9 +87,18 @@ def branch_diagram(p: RigParameters, field: str, bounds: tuple[float, float] | N
         why = "; ".join((cycle.sentence, *at_rig.reasons))
         raise ModelError(f"there is no squeal cycle to follow in {field}: {why}")
     chosen = bounds or _default_bounds(begun, at_rig, path.value)
-    branch = follow_cycle(begun.p, cycle, field, chosen)
-    values, zones = _zones_along(path, branch)
-    return Diagram(p, at_rig, branch, begun.value, branch.cycles_at(begun.value), values, zones)
+    branches = [follow_cycle(begun.p, cycle, field, chosen)]
+    cycles = branches[0].cycles_at(begun.value)
+    separatrix = at_rig.separatrix if begun is path else None
+    if separatrix is not None and not any(_same(separatrix, known) for known in cycles):
+        branches.append(follow_cycle(p, separatrix, field, chosen))
+        cycles += [new for new in branches[1].cycles_at(begun.value) if not any(_same(new, known) for known in cycles)]
+    values, zones = _zones_along(path, branches)
+    return Diagram(p, at_rig, field, tuple(branches), begun.value, cycles, values, zones)
+
+
+def _same(one: SquealCycle, other: SquealCycle) -> bool:
+    return abs(one.frequency / other.frequency - 1.0) < 1e-7 and abs(one.peak_x / other.peak_x - 1.0) < 1e-6
 
 
 def _begun(path: Path, at_rig: Zone) -> Path:
@@ -120,25 +128,26 @@ def _default_bounds(path: Path, at_rig: Zone, own: float) -> tuple[float, float]
     return max(path.lower, ends[0]), min(path.upper, ends[1])
 
 
-def _zones_along(path: Path, branch: Branch) -> tuple[Values, NDArray[np.int64]]:
-    """Zone codes over the field: of the equilibrium's growth, and of whether a stable cycle of the branch is there.
+def _zones_along(path: Path, branches: Sequence[Branch]) -> tuple[Values, NDArray[np.int64]]:
+    """Zone codes over the field: of the equilibrium's growth, and of whether a stable cycle of a branch is there.
 
-    Where the branch stops at a bound or is lost, nothing is known beyond.
+    Where the branches stop at a bound or are lost, nothing is known beyond.
     """
-    at = branch.points["parameter"]
-    low, high = float(at.min()), float(at.max())
+    reached = np.concatenate([branch.points["parameter"] for branch in branches])
+    low, high = float(reached.min()), float(reached.max())
     room = 0.1 * (high - low)
-    open_ends = [end.parameter for end in branch.ends if end.how in (BOUND, LOST)]
+    open_ends = [end.parameter for branch in branches for end in branch.ends if end.how in (BOUND, LOST)]
     if low not in open_ends:
-        low = max(path.lower, low - room)
+        low = max(path.lower, min(low, path.value) - room)
     if high not in open_ends:
-        high = min(path.upper, high + room)
+        high = min(path.upper, max(high, path.value) + room)
     values = np.linspace(low, high, _GRID)
-    stable = branch.points["stable"]
     covered = np.zeros(_GRID, dtype=np.bool_)
-    for a, b, both in zip(at[:-1], at[1:], stable[:-1] & stable[1:], strict=True):
-        if both:
-            covered |= (values >= min(a, b)) & (values <= max(a, b))
+    for branch in branches:
+        at, stable = branch.points["parameter"], branch.points["stable"]
+        for a, b, both in zip(at[:-1], at[1:], stable[:-1] & stable[1:], strict=True):
+            if both:
+                covered |= (values >= min(a, b)) & (values <= max(a, b))
     rates = np.array([growth(path.packed(value)) for value in values.tolist()])
     zones = np.where(covered, BISTABLE, QUIET)
     zones[rates > 0.0] = SQUEAL
@@ -149,7 +158,7 @@ def _zones_along(path: Path, branch: Branch) -> tuple[Values, NDArray[np.int64]]
 def normal_force(p: RigParameters, states: Values) -> Values:
     """Contact force [N] (n,) of states (n, 4): k_c (L_pre - y), nothing where the pad is off the belt."""
     q = pack(p)
-    return np.maximum(q[K_C] * (q[L_PRE] - states[:, 1]), 0.0)
+    return np.asarray(np.maximum(q[K_C] * (q[L_PRE] - states[:, 1]), 0.0))
 
 
 def from_rest(p: RigParameters, states: Values) -> Values:

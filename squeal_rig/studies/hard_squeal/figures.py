@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from squeal_rig.configuration.declared import declarations
 from squeal_rig.model.core.law import friction_coefficient
+from squeal_rig.model.cycles.branch import Branch
 from squeal_rig.model.cycles.path import PAD_STIFFNESS
 from squeal_rig.model.cycles.tracing import FLUTTER
 from squeal_rig.model.cycles.zone_map import BISTABLE, NOT_IN_CONTACT, QUIET, SQUEAL
@@ -50,43 +52,43 @@ def value_text(diagram: Diagram, value: float) -> str:
 
 
 def branch_figure(diagram: Diagram, name: str = "branch") -> Picture:
-    """Peak of x and frequency along the branch, the equilibrium, the folds, and the zones behind."""
+    """Peak of x and frequency along the branches, the equilibrium, the folds, and the zones behind."""
     label, scale, shift = axis_of(diagram)
-    curve, over = _curve(diagram), scale * diagram.values + shift
+    curves, over = [_curve(diagram, branch) for branch in diagram.branches], scale * diagram.values + shift
 
     def draw(axes: Any) -> None:
         left, right = axes[0]
-        for axis, values in ((left, curve.peak), (right, curve.frequency)):
+        for axis in (left, right):
             _shade(axis, over, diagram.zones)
             axis.axvline(scale * _own_value(diagram) + shift, color="0.45", ls=(0, (1, 2)), lw=1.0)
-            if axis is left:
-                _equilibrium(axis, over, diagram.zones)
-            curve.draw(axis, values)
-            _mark_specials(axis, diagram, curve, values)
             axis.set(xlabel=label, xlim=(over[0], over[-1]))
-        for end, i in zip(diagram.branch.ends, (0, -1), strict=True):
-            if end.how == FLUTTER:  # the linear mode at its threshold, of any amplitude up to separation
-                text = "linear mode at its threshold"
-                left.plot([curve.at[i]] * 2, [0.0, curve.peak[i]], ":", color=_UNSTABLE, lw=1.4, label=text)
-        top = float(curve.peak.max())
+        _equilibrium(left, over, diagram.zones)
+        for branch, curve in zip(diagram.branches, curves, strict=True):
+            curve.draw(left, curve.peak)
+            curve.draw(right, curve.frequency)
+            for end, i in zip(branch.ends, (0, -1), strict=True):
+                if end.how == FLUTTER:  # the linear mode at its threshold, of any amplitude up to separation
+                    text = "linear mode at its threshold"
+                    left.plot([curve.at[i]] * 2, [0.0, curve.peak[i]], ":", color=_UNSTABLE, lw=1.4, label=text)
+        top = max(float(curve.peak.max()) for curve in curves)
         left.set(ylabel="peak of x from rest [$\\mu$m]", title="(a)", ylim=(-0.03 * top, 1.45 * top))
-        low, high = float(curve.frequency.min()), float(curve.frequency.max())
-        room = 0.05 * (high - low) or 1.0
-        right.set(ylabel="frequency [Hz]", title="(b)", ylim=(low - room, high + 6.0 * room))
+        both = np.concatenate([curve.frequency for curve in curves])
+        room = 0.05 * float(np.ptp(both)) or 1.0
+        right.set(ylabel="frequency [Hz]", title="(b)", ylim=(both.min() - room, both.max() + 6.0 * room))
         _one_of_each(left, "upper left")
         _zone_legend(right, np.unique(diagram.zones).tolist())
 
     caption = (
-        "Squeal cycle (solid) and separatrix (dashed) are one branch: (a) its peak displacement along the belt, with"
-        " the equilibrium at zero, (b) its frequency. Fine dots: the rig's own value."
+        "(a) Peak displacement along the belt of the squeal cycle (solid) and of the separatrix (dashed), which meet in"
+        " a fold; the equilibrium lies at zero. (b) Their frequency. Fine dots: the rig's own value."
     )
     return picture(name, caption, draw, columns=2, height=3.8)
 
 
 def multiplier_figure(diagram: Diagram, name: str = "multipliers") -> Picture:
-    """Multipliers besides 1 along the branch, in the complex plane and as their largest modulus."""
+    """Multipliers besides 1 along the branches, in the complex plane and as their largest modulus."""
     label, _, _ = axis_of(diagram)
-    points, curve = diagram.branch.points, _curve(diagram)
+    points = np.concatenate([branch.points for branch in diagram.branches])
 
     def draw(axes: Any) -> None:
         left, right = axes[0]
@@ -102,10 +104,12 @@ def multiplier_figure(diagram: Diagram, name: str = "multipliers") -> Picture:
         left.set(xlabel="Re", ylabel="Im", title="(a)")
         left.set_aspect("equal", adjustable="datalim")
         left.legend(loc="upper left")
-        curve.draw(right, curve.largest)
         right.axhline(1.0, color="0.5", lw=1.0)
-        _mark_specials(right, diagram, curve, curve.largest)
-        right.set(xlabel=label, ylabel="largest modulus", title="(b)", ylim=(0.0, 1.1 * float(curve.largest.max())))
+        for branch in diagram.branches:
+            curve = _curve(diagram, branch)
+            curve.draw(right, curve.largest)
+        right.set(xlabel=label, ylabel="largest modulus", title="(b)")
+        right.set_ylim(0.0, 1.1 * float(points["largest_multiplier"].max()))
         _one_of_each(right, "best")
 
     caption = (
@@ -118,10 +122,9 @@ def multiplier_figure(diagram: Diagram, name: str = "multipliers") -> Picture:
 def cycle_figure(diagram: Diagram, name: str = "cycles") -> Picture:
     """The cycles at one value of the field: their path in the x-y plane, and the contact force over a period."""
     rig = diagram.rig_of_cycles
-    separation = None
+    edge = 1e6 * float(from_rest(rig, np.array([[0.0, rig.pretension_length, 0.0, 0.0]]))[0, 1])
 
     def draw(axes: Any) -> None:
-        nonlocal separation
         left, right = axes[0]
         for cycle in diagram.cycles:
             color, line = (_STABLE, "-") if cycle.stable else (_UNSTABLE, "--")
@@ -130,13 +133,10 @@ def cycle_figure(diagram: Diagram, name: str = "cycles") -> Picture:
             left.plot(path[:, 0], path[:, 1], color=color, ls=line, lw=1.3, label=text)
             times = 1e3 * np.append(cycle.times, cycle.period)
             right.plot(times, normal_force(rig, _closed(cycle.states)), color=color, ls=line, lw=1.3, label=text)
-        separation = 1e6 * from_rest(rig, np.array([[0.0, rig.pretension_length, 0.0, 0.0]]))[0, 1]
-        left.axhline(separation, color="0.4", lw=1.0, ls=":")
-        left.annotate(
-            "off the belt above", (0.02, separation), xycoords=("axes fraction", "data"), va="bottom", fontsize=8
-        )
+        left.axhline(edge, color="0.4", lw=1.0, ls=":")
+        left.annotate("off the belt above", (0.02, edge), xycoords=("axes fraction", "data"), va="bottom", fontsize=8)
         left.plot(0.0, 0.0, "+", color="k", ms=8, label="equilibrium")
-        rest = normal_force(rig, np.array([[0.0, rig.pretension_length - separation * 1e-6, 0.0, 0.0]]))[0]
+        rest = normal_force(rig, np.array([[0.0, rig.pretension_length - edge * 1e-6, 0.0, 0.0]]))[0]
         right.axhline(rest, color="0.4", lw=1.0, ls=":", label=f"at rest, {rest:.4g} N")
         left.set(xlabel="x from rest [$\\mu$m]", ylabel="y from rest [$\\mu$m]", title="(a)")
         right.set(xlabel="time [ms]", ylabel="contact force N [N]", title="(b)")
@@ -191,11 +191,27 @@ def _hit_lines(axis: Any, chart: Chart) -> None:
     if not np.isfinite(hits).any():
         return
     low, high = float(np.nanmin(hits)), float(np.nanmax(hits))
-    levels = MaxNLocator(10, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high)
+    levels = np.asarray(MaxNLocator(10, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high))
     levels = levels[(levels > max(low, 0.0)) & (levels < high)]
     if len(levels):
         lines = axis.contour(chart.preloads, chart.speeds, hits, levels=levels, colors=_HIT, linewidths=0.9)
-        axis.clabel(lines, fmt=lambda value: f"{value:.4g}", fontsize=8)
+        places = _label_places(lines.allsegs, chart)
+        if places:
+            axis.clabel(lines, fmt=lambda value: f"{value:.4g}", fontsize=8, manual=places)
+
+
+def _label_places(lines: Sequence[Sequence[Values]], chart: Chart) -> list[tuple[float, float]]:
+    """One place on each line for its label: near the falling diagonal, away from the edges and from each other."""
+    origin = np.array([chart.preloads[0], chart.speeds[0]])
+    size = np.array([np.ptp(chart.preloads), np.ptp(chart.speeds)])
+    chosen: list[Values] = []
+    for pieces in lines:
+        points = (np.concatenate([piece for piece in pieces if len(piece)] or [np.empty((0, 2))]) - origin) / size
+        inside = points[((points > 0.06) & (points < 0.94)).all(axis=1)]
+        free = [q for q in inside if all(np.hypot(*(q - other)) > 0.09 for other in chosen)]
+        if free:
+            chosen.append(min(free, key=lambda q: abs(q[0] + q[1] - 1.0)))
+    return [tuple((origin + q * size).tolist()) for q in chosen]
 
 
 def _own_value(diagram: Diagram) -> float:
@@ -231,9 +247,10 @@ class _Curve:
     largest: Values
     stable: NDArray[np.bool_]
     special: NDArray[np.bool_]
+    kinds: tuple[str, ...]
 
     def draw(self, axis: Any, values: Values) -> None:
-        """Draw values over the field, solid where the cycle is stable and dashed where not."""
+        """Draw values over the field, solid where the cycle is stable and dashed where not, and mark special points."""
         for kind, color, line, text in (
             (self.stable, _STABLE, "-", "squeal cycle, stable"),
             (~self.stable, _UNSTABLE, "--", "unstable cycle: separatrix"),
@@ -241,23 +258,25 @@ class _Curve:
             # A special point belongs to both sides; a change without one is drawn with the point before it.
             shown = kind | self.special
             shown[:-1] |= kind[1:] & ~self.special[1:] & ~self.special[:-1]
-            axis.plot(
-                np.where(shown, self.at, np.nan), np.where(shown, values, np.nan), line, color=color, lw=1.4, label=text
-            )
+            if np.any(kind & ~self.special):
+                at, drawn = np.where(shown, self.at, np.nan), np.where(shown, values, np.nan)
+                axis.plot(at, drawn, line, color=color, lw=1.4, label=text)
+        for i, name in zip(np.flatnonzero(self.special), self.kinds, strict=True):
+            axis.plot(self.at[i], values[i], _MARKS[name], color="k", mfc="w", ms=6, zorder=5, label=name)
 
 
-def _curve(diagram: Diagram) -> _Curve:
-    points, (_, scale, shift) = diagram.branch.points, axis_of(diagram)
+def _curve(diagram: Diagram, branch: Branch) -> _Curve:
+    points, (_, scale, shift) = branch.points, axis_of(diagram)
     stable = points["stable"].copy()
-    for end, last, before in zip(diagram.branch.ends, (0, -1), (1, -2), strict=True):
+    for end, last, before in zip(branch.ends, (0, -1), (1, -2), strict=True):
         if end.how == FLUTTER and len(stable) > 1:
             stable[last] = stable[before]  # the linear mode, whose multiplier is 1 but for rounding
     columns = np.column_stack(
-        [points["parameter"], points["peak_x"], points["frequency"], points["largest_multiplier"], stable, 0.0 * stable]
+        [points["parameter"], points["peak_x"], points["frequency"], points["largest_multiplier"], stable]
     )
     spans = [float(np.ptp(points[name])) or 1.0 for name in ("parameter", "frequency")]
-    rows, places = [], []
-    for special in diagram.branch.specials:
+    rows: list[tuple[int, str, list[float]]] = []
+    for special in branch.specials if len(points) > 1 else ():
         away = np.hypot(
             (points["parameter"] - special.parameter) / spans[0], (points["frequency"] - special.frequency) / spans[1]
         )
@@ -268,23 +287,16 @@ def _curve(diagram: Diagram) -> _Curve:
         share = (special.frequency - first[2]) / apart if apart != 0.0 else 0.5
         largest = float(np.abs(special.multipliers[1:]).max())
         peak = first[1] + share * (second[1] - first[1])
-        rows.append([special.parameter, peak, special.frequency, largest, second[4], 1.0])
-        places.append(i + 1)
+        rows.append((i + 1, special.kind, [special.parameter, peak, special.frequency, largest, second[4]]))
+    rows.sort(key=lambda row: row[0])
+    special_points = np.zeros(len(columns), dtype=np.bool_)
     if rows:
-        columns = np.insert(columns, places, rows, axis=0)
-    at, peak, frequency, largest_modulus, kinds, specials = columns.T
-    return _Curve(scale * at + shift, 1e6 * peak, frequency, largest_modulus, kinds > 0.5, specials > 0.5)
-
-
-def _mark_specials(axis: Any, diagram: Diagram, curve: _Curve, values: Values) -> None:
-    _, scale, shift = axis_of(diagram)
-    for special in diagram.branch.specials:
-        i = int(np.argmin(np.where(curve.special, np.abs(curve.frequency - special.frequency), np.inf)))
-        _mark(axis, scale * special.parameter + shift, float(values[i]), special.kind)
-
-
-def _mark(axis: Any, at: float, value: float, kind: str) -> None:
-    axis.plot(at, value, _MARKS[kind], color="k", mfc="w", ms=6, zorder=5, label=kind)
+        places = [place for place, _, _ in rows]
+        columns = np.insert(columns, places, [values for _, _, values in rows], axis=0)
+        special_points = np.insert(special_points, places, True)
+    at, peaks, frequency, largest_modulus, kinds = columns.T
+    names = tuple(name for _, name, _ in rows)
+    return _Curve(scale * at + shift, 1e6 * peaks, frequency, largest_modulus, kinds > 0.5, special_points, names)
 
 
 def _one_of_each(axis: Any, where: str) -> None:

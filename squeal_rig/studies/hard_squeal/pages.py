@@ -11,6 +11,7 @@ import numpy as np
 from rich.console import Console
 
 from squeal_rig.configuration.declared import declarations
+from squeal_rig.errors import ModelError
 from squeal_rig.model.core.law import friction_coefficient
 from squeal_rig.model.cycles.cycle import SquealCycle
 from squeal_rig.model.cycles.path import refuse_what_has_no_cycles
@@ -78,19 +79,36 @@ def run_map(
 
 def cycle_sections(diagram: Diagram) -> Iterable[Section]:
     """Branch, multipliers and cycles, with their tables."""
-    ends = [f"One end: {end.sentence}." for end in diagram.branch.ends]
-    yield Section(
-        f"The branch along {diagram.field}",
-        ends,
-        [special_table(diagram)],
-        [branch_figure(diagram)],
-        [branch_table(diagram)],
-    )
+    ends = [f"One end: {end.sentence}." for branch in diagram.branches for end in branch.ends]
+    title = f"The branch along {diagram.field}"
+    yield Section(title, ends, [special_table(diagram)], [branch_figure(diagram)], [branch_table(diagram)])
     yield Section("Multipliers", pictures=[multiplier_figure(diagram)])
     yield Section("The cycles", [], [cycle_table(diagram)], [cycle_figure(diagram)], [period_table(diagram)])
 
 
-def zone_section(chart: Chart, title: str = "Zones") -> Section:
+def what_figure_9_does_not_show(diagram: Diagram | ModelError, chart: Chart | ModelError) -> Section:
+    """The section of the reproduction page: map and branch of its rig, or the sentence why there are none."""
+    section = Section("What Fig. 9 does not show")
+    if isinstance(chart, ModelError) or isinstance(diagram, ModelError):
+        section.text = [f"{error}." for error in (chart, diagram) if isinstance(error, ModelError)]
+        return section
+    k, c = 0.5 * (chart.rig.k1 + chart.rig.k2), chart.rig.damping_x
+    section = zone_section(chart, section.title, "fig_09_zones")
+    section.text = [
+        "Fig. 9 has the border beyond which the rig squeals by itself, and calls all else stable. Below it a squeal"
+        " cycle stands beside the stable equilibrium, down to the fold; a hit takes the rig from one to the other."
+        f" Here at k = {k:.3g} N/m with a damping of {c:g} N s/m in x and y: zones over the paper's preloads and"
+        " speeds, and the branch of cycles over the friction coefficient.",
+        *section.text,
+        _zone_text(diagram.zone),
+    ]
+    section.tables += [special_table(diagram, "fig_09_specials"), cycle_table(diagram, "fig_09_cycles_summary")]
+    section.pictures += [branch_figure(diagram, "fig_09_branch"), cycle_figure(diagram, "fig_09_cycles")]
+    section.data += [branch_table(diagram, "fig_09_branch"), period_table(diagram, "fig_09_cycles")]
+    return section
+
+
+def zone_section(chart: Chart, title: str = "Zones", name: str = "zones") -> Section:
     """The map of zones with what it says in words."""
     found = chart.map
     text = [_shares_text(chart)]
@@ -104,50 +122,46 @@ def zone_section(chart: Chart, title: str = "Zones") -> Section:
                 " searched for one by one."
             )
     text += [f"No border: {reason}." for reason in found.reasons]
-    return Section(title, text, [], [zone_figure(chart)], [chart_table(chart)])
+    return Section(title, text, [], [zone_figure(chart, name)], [chart_table(chart, name)])
 
 
-def special_table(diagram: Diagram) -> DataTable:
+def special_table(diagram: Diagram, name: str = "specials") -> DataTable:
     """Folds, other bifurcations and both ends of the branch."""
-    rows = [list(row) for row in _special_rows(diagram)]
-    return DataTable("specials", "Special points and ends", ("what", _column(diagram), "frequency [Hz]"), rows)
+    rows = [
+        [kind, value, friction_coefficient(diagram.rig_at(value)), frequency]
+        for kind, value, frequency in _special_rows(diagram)
+    ]
+    return DataTable(name, "Special points and ends", ("what", _column(diagram), "mu [-]", "frequency [Hz]"), rows)
 
 
-def branch_table(diagram: Diagram) -> DataTable:
+def branch_table(diagram: Diagram, name: str = "branch") -> DataTable:
     """Every point of the branch."""
     columns = [
-        _column(diagram), "mu [-]", "frequency [Hz]", "peak_x [m]", "peak_y [m]", "off_belt_share", "stable",
+        "branch", _column(diagram), "mu [-]", "frequency [Hz]", "peak_x [m]", "peak_y [m]", "off_belt_share", "stable",
         "largest_multiplier", *(f"multiplier_{i} {part}" for i in (2, 3, 4) for part in ("re", "im")),
     ]  # fmt: skip
     rows = []
-    for point in diagram.branch.points:
-        mu = friction_coefficient(diagram.rig_at(float(point["parameter"])))
-        multipliers = [part for m in point["multipliers"][1:] for part in (float(m.real), float(m.imag))]
-        numbers = [float(point[name]) for name in ("frequency", "peak_x", "peak_y", "off_belt_share")]
-        rows.append(
-            [
-                float(point["parameter"]),
-                mu,
-                *numbers,
-                bool(point["stable"]),
-                float(point["largest_multiplier"]),
-                *multipliers,
-            ]
-        )
-    return DataTable("branch", "Every point of the branch", columns, rows)
+    for number, branch in enumerate(diagram.branches, 1):
+        for point in branch.points:
+            mu = friction_coefficient(diagram.rig_at(float(point["parameter"])))
+            multipliers = [part for m in point["multipliers"][1:] for part in (float(m.real), float(m.imag))]
+            numbers = [float(point[name]) for name in ("frequency", "peak_x", "peak_y", "off_belt_share")]
+            largest = float(point["largest_multiplier"])
+            rows.append([number, float(point["parameter"]), mu, *numbers, bool(point["stable"]), largest, *multipliers])
+    return DataTable(name, "Every point of the branch", columns, rows)
 
 
-def cycle_table(diagram: Diagram) -> DataTable:
+def cycle_table(diagram: Diagram, name: str = "cycles_summary") -> DataTable:
     """The cycles at one value of the field, one row each."""
     columns = ("cycle", "frequency [Hz]", "peak_x [m]", "peak_y [m]", "off_belt_share", "multipliers besides 1")
     rows = [
         [diagram.kind_of(c), c.frequency, c.peak_x, c.peak_y, c.off_belt_share, _multipliers_text(c)]
         for c in diagram.cycles
     ]
-    return DataTable("cycles_summary", f"Cycles at {value_text(diagram, diagram.begun_at)}", columns, rows)
+    return DataTable(name, f"Cycles at {value_text(diagram, diagram.begun_at)}", columns, rows)
 
 
-def period_table(diagram: Diagram) -> DataTable:
+def period_table(diagram: Diagram, name: str = "cycles") -> DataTable:
     """One period of each cycle: states, and the contact force."""
     columns = ("cycle", "t [s]", "x - x* [m]", "y - y* [m]", "vx [m/s]", "vy [m/s]", "N [N]")
     rig, rows = diagram.rig_of_cycles, []
@@ -156,10 +170,10 @@ def period_table(diagram: Diagram) -> DataTable:
             [cycle.times, from_rest(rig, cycle.states), cycle.states[:, 2:], normal_force(rig, cycle.states)]
         )
         rows += [[diagram.kind_of(cycle), *row] for row in values.tolist()]
-    return DataTable("cycles", "One period of each cycle", columns, rows)
+    return DataTable(name, "One period of each cycle", columns, rows)
 
 
-def chart_table(chart: Chart) -> DataTable:
+def chart_table(chart: Chart, name: str = "zones") -> DataTable:
     """Every point of the map."""
     found = chart.map
     f, v = np.meshgrid(chart.preloads, chart.speeds)
@@ -170,7 +184,7 @@ def chart_table(chart: Chart) -> DataTable:
         [*row, name] for row, name in zip(zip(*(a.ravel().tolist() for a in numbers), strict=True), zones, strict=True)
     ]
     columns = ("F [N]", "V [m/s]", "mu [-]", "fold_mu [-]", "flutter_mu [-]", "smallest_hit [N s]", "zone")
-    return DataTable("zones", "Every point of the map", columns, rows)
+    return DataTable(name, "Every point of the map", columns, rows)
 
 
 def _column(diagram: Diagram) -> str:
@@ -190,12 +204,12 @@ def _multipliers_text(cycle: SquealCycle) -> str:
 
 
 def _special_rows(diagram: Diagram) -> Iterable[tuple[str, float, float]]:
-    branch = diagram.branch
-    first, last = branch.ends
-    yield f"end: {first.how}", first.parameter, first.frequency
-    for special in branch.specials:
-        yield special.kind, special.parameter, special.frequency
-    yield f"end: {last.how}", last.parameter, last.frequency
+    for branch in diagram.branches:
+        first, last = branch.ends
+        yield f"end: {first.how}", first.parameter, first.frequency
+        for special in branch.specials:
+            yield special.kind, special.parameter, special.frequency
+        yield f"end: {last.how}", last.parameter, last.frequency
 
 
 def _rig_text(p: RigParameters) -> str:
