@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from squeal_rig.errors import ModelError
+from squeal_rig.errors import ModelError, ParameterError
+from squeal_rig.model.core.law import friction_refusal
 from squeal_rig.model.core.layout import K_C, L_PRE, pack
 from squeal_rig.model.core.statics import equilibrium
 from squeal_rig.model.cycles.branch import Branch, follow_cycle
@@ -76,10 +77,13 @@ def branch_diagram(p: RigParameters, field: str, bounds: tuple[float, float] | N
 
     Raises:
         ModelError: the rig is refused (friction that sees the slip, no damping), or there is no cycle to follow.
-        ParameterError: the field or the bounds are wrong.
+        ParameterError: the field or the bounds are wrong, or the friction law gives a negative coefficient.
     """
     path = Path(p, field)
     path.bounds(bounds)
+    refusal = friction_refusal(p)
+    if refusal:
+        raise ParameterError(refusal)
     at_rig = zone(p)
     begun = _begun(path, at_rig)
     cycle = at_rig.squeal if begun is path and at_rig.squeal is not None else squeal_cycle(begun.p)

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from squeal_rig.errors import ParameterError
+from squeal_rig.model.core.law import friction_coefficient, friction_refusal
 from squeal_rig.model.cycles.zone_map import ZoneMap, zone_map
 from squeal_rig.model.parameters import RigParameters
 
@@ -40,7 +42,12 @@ def zone_chart(
 
     Raises:
         ModelError: the rig is refused (friction that sees the slip, no damping).
-        ParameterError: a range is out of bounds.
+        ParameterError: a range is out of bounds, or the friction law gives a negative coefficient in it.
     """
     f, v = np.linspace(*preloads, points), np.linspace(*speeds, points)
+    # The law is linear in both: it is smallest in a corner.
+    corners = [p.replace(preload=force, belt_speed=speed) for force in preloads for speed in speeds]
+    refusal = friction_refusal(min(corners, key=friction_coefficient))
+    if refusal:
+        raise ParameterError(refusal)
     return Chart(p, f, v, zone_map(p, hits=True, preload=f[None, :], belt_speed=v[:, None]))

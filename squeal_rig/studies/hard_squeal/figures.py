@@ -29,6 +29,8 @@ _FILLS = {
     SQUEAL: ("#f0c9c4", "squeals by itself", "////"),
 }
 _STABLE, _UNSTABLE = "#000000", "#b2182b"
+# Room around a label, as a share of the picture.
+_CLEAR = 0.03
 _MARKS = {"fold": "o", "period doubling": "s", "Neimark-Sacker": "^"}
 _HATCH_COLOR, _HIT = "#d79a93", "#2166ac"
 
@@ -155,6 +157,7 @@ def zone_figure(chart: Chart, name: str = "zones") -> Picture:
 
     def draw(axes: Any) -> None:
         axis, found = axes[0, 0], chart.map
+        borders: list[Values] = []
         for code in np.unique(found.zone).tolist():
             fill, _, hatch = _FILLS[code]
             inside = np.where(found.zone == code, 1.0, 0.0)
@@ -166,8 +169,9 @@ def zone_figure(chart: Chart, name: str = "zones") -> Picture:
         for border, color, width in ((found.fold_mu, _STABLE, 1.6), (found.flutter_mu, _UNSTABLE, 2.0)):
             margin = found.mu - border
             if np.isfinite(margin).all() and margin.min() < 0.0 < margin.max():
-                axis.contour(chart.preloads, chart.speeds, margin, levels=[0.0], colors=color, linewidths=width)
-        _hit_lines(axis, chart)
+                line = axis.contour(chart.preloads, chart.speeds, margin, levels=[0.0], colors=color, linewidths=width)
+                borders += _vertices(line)
+        _hit_lines(axis, chart, borders)
         axis.set(xlabel="preload F [N]", ylabel="belt speed V [m/s]")
         axis.grid(visible=False)
         _chart_legend(axis, chart)
@@ -180,8 +184,8 @@ def zone_figure(chart: Chart, name: str = "zones") -> Picture:
     return picture(name, caption, draw, height=4.8)
 
 
-def _hit_lines(axis: Any, chart: Chart) -> None:
-    """Lines of equal smallest hit, labelled [N s]."""
+def _hit_lines(axis: Any, chart: Chart, borders: Sequence[Values]) -> None:
+    """Lines of equal smallest hit, labelled [N s] where there is room beside each other and the borders."""
     from matplotlib.ticker import MaxNLocator
 
     found = chart.map
@@ -195,23 +199,31 @@ def _hit_lines(axis: Any, chart: Chart) -> None:
     levels = levels[(levels > max(low, 0.0)) & (levels < high)]
     if len(levels):
         lines = axis.contour(chart.preloads, chart.speeds, hits, levels=levels, colors=_HIT, linewidths=0.9)
-        places = _label_places(lines.allsegs, chart)
+        places = _label_places(_vertices(lines), borders, chart)
         if places:
             axis.clabel(lines, fmt=lambda value: f"{value:.4g}", fontsize=8, manual=places)
 
 
-def _label_places(lines: Sequence[Sequence[Values]], chart: Chart) -> list[tuple[float, float]]:
-    """One place on each line for its label: near the falling diagonal, away from the edges and from each other."""
+def _label_places(lines: Sequence[Values], borders: Sequence[Values], chart: Chart) -> list[tuple[float, float]]:
+    """One place on each line (n, 2) for its label, near the falling diagonal: none where other lines or edges are."""
     origin = np.array([chart.preloads[0], chart.speeds[0]])
     size = np.array([np.ptp(chart.preloads), np.ptp(chart.speeds)])
-    chosen: list[Values] = []
-    for pieces in lines:
-        points = (np.concatenate([piece for piece in pieces if len(piece)] or [np.empty((0, 2))]) - origin) / size
-        inside = points[((points > 0.06) & (points < 0.94)).all(axis=1)]
-        free = [q for q in inside if all(np.hypot(*(q - other)) > 0.09 for other in chosen)]
-        if free:
-            chosen.append(min(free, key=lambda q: abs(q[0] + q[1] - 1.0)))
-    return [tuple((origin + q * size).tolist()) for q in chosen]
+    scaled = [(line - origin) / size for line in lines]
+    taken = [(line - origin) / size for line in borders]
+    places = []
+    for i, line in enumerate(scaled):
+        others = np.concatenate([*scaled[:i], *scaled[i + 1 :], *taken, np.full((1, 2), np.inf)])
+        clear = [np.hypot(*(others - q).T).min() > _CLEAR for q in line]
+        free = line[((line > 0.06) & (line < 0.94)).all(axis=1) & clear]
+        if len(free):
+            best = free[np.argmin(np.abs(free.sum(axis=1) - 1.0))]
+            places.append(tuple((origin + best * size).tolist()))
+    return places
+
+
+def _vertices(contours: Any) -> list[Values]:
+    """Vertices (n, 2) of each level of a contour plot, pieces joined."""
+    return [np.concatenate([np.empty((0, 2)), *pieces]) for pieces in contours.allsegs]
 
 
 def _own_value(diagram: Diagram) -> float:
