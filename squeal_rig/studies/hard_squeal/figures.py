@@ -170,7 +170,7 @@ def zone_figure(chart: Chart, name: str = "zones") -> Picture:
             margin = found.mu - border
             if np.isfinite(margin).all() and margin.min() < 0.0 < margin.max():
                 line = axis.contour(chart.preloads, chart.speeds, margin, levels=[0.0], colors=color, linewidths=width)
-                borders += _vertices(line)
+                borders += _pieces(line)
         _hit_lines(axis, chart, borders)
         axis.set(xlabel="preload F [N]", ylabel="belt speed V [m/s]")
         axis.grid(visible=False)
@@ -199,7 +199,7 @@ def _hit_lines(axis: Any, chart: Chart, borders: Sequence[Values]) -> None:
     levels = levels[(levels > max(low, 0.0)) & (levels < high)]
     if len(levels):
         lines = axis.contour(chart.preloads, chart.speeds, hits, levels=levels, colors=_HIT, linewidths=0.9)
-        places = _label_places(_vertices(lines), borders, chart)
+        places = _label_places(_pieces(lines), borders, chart)
         if places:
             axis.clabel(lines, fmt=lambda value: f"{value:.4g}", fontsize=8, manual=places)
 
@@ -221,9 +221,9 @@ def _label_places(lines: Sequence[Values], borders: Sequence[Values], chart: Cha
     return places
 
 
-def _vertices(contours: Any) -> list[Values]:
-    """Vertices (n, 2) of each level of a contour plot, pieces joined."""
-    return [np.concatenate([np.empty((0, 2)), *pieces]) for pieces in contours.allsegs]
+def _pieces(contours: Any) -> list[Values]:
+    """The lines (n, 2) of a contour plot, each piece for itself."""
+    return [piece for level in contours.allsegs for piece in level if len(piece)]
 
 
 def _own_value(diagram: Diagram) -> float:
