@@ -191,6 +191,26 @@ def test_a_fold_is_a_simple_multiplier_1_of_the_return_map(branch):
     assert np.count_nonzero(stable[1:] != stable[:-1]) == 1
 
 
+def test_a_period_doubling_is_a_multiplier_of_minus_1():
+    p = damped(1000, PLAIN, mu0=0.3)
+    found = follow_cycle(p, squeal_cycle(p), "mu0", bounds=(0.2, 8.5))
+    (doubling,) = [special for special in found.specials if special.kind == "period doubling"]
+    assert np.min(np.abs(doubling.multipliers + 1.0)) < 1e-7
+    before = found.points[np.searchsorted(found.points["parameter"][found.points["stable"]], doubling.parameter) - 1]
+    assert before["parameter"] < doubling.parameter
+    rig = p.replace(mu0=doubling.parameter * 1.01)
+    assert not squeal_cycle(rig, found.cycles_at(rig.mu0)[0]).stable
+
+
+def test_a_branch_without_a_flutter_threshold_closes_on_itself():
+    p = damped(2450.5, PLAIN, mu0=0.12, preload=240.2, pad_stiffness=7.471e6)
+    found = follow_cycle(p, squeal_cycle(p), "pad_stiffness")
+    assert [end.how for end in found.ends] == ["closed", "closed"]
+    assert len(found.folds) == 2
+    assert zone(p).fold_pad_stiffness == pytest.approx(min(fold.parameter for fold in found.folds), rel=1e-9)
+    assert math.isnan(zone(p).flutter_pad_stiffness)
+
+
 def test_cycles_at_a_value_are_those_of_the_zone(branch):
     found = branch.cycles_at(POINT.mu0)
     assert sorted(cycle.frequency for cycle in found) == pytest.approx([994.4029, 1140.352], abs=5e-4)

@@ -1,6 +1,9 @@
-"""The same at length, run by `make test-slow`: thirty rigs, two hundred points by force, five hundred hits."""
+"""The same at length, run by `make test-slow` (ARGS=-s shows what was measured): thirty rigs, two hundred points by
+force, five hundred hits.
+"""
 
 import math
+import sys
 
 import numpy as np
 import pytest
@@ -41,14 +44,16 @@ def test_two_hundred_zones_agree_with_brute_force_but_for_thin_basins():
         found, (expected, _, _) = zone(p), zone_by_force(p)
         if found.name == expected:
             continue
-        # The cycle is there and holds the motion, but hits in eight directions pass over its thin basin.
+        # The cycle is there and holds the motion, but hits in eight directions pass over its thin basin: only in the
+        # first part of the way from the fold to flutter.
         assert (found.name, expected) == ("bistable", "quiet")
         assert found.squeal.stable
-        assert found.mu < 1.1 * found.fold_mu
+        thin.append(found.to_fold_mu / (found.flutter_mu - found.fold_mu))
         settle = 10.0 / -np.max(eigenvalues(p).real)
         assert share_on_belt_after(p, found.squeal.state, settle) < 0.9999
-        thin.append(found.mu / found.fold_mu)
+    sys.stdout.write(f"{len(thin)} of 200 points are bistable with a basin that hits pass over, at shares {thin}\n")
     assert len(thin) < 10
+    assert max(thin, default=0.0) < 0.1
 
 
 def test_five_hundred_safe_hits_are_below_the_smallest():
@@ -59,6 +64,9 @@ def test_five_hundred_safe_hits_are_below_the_smallest():
         hit = smallest_hit(p, beyond=1.0)
         if hit.found and hit.impulse > 0.0:
             ratios.append(safe_hit(p) / hit.bracket[1])
+    sys.stdout.write(
+        f"safe over smallest: largest {max(ratios):.3f}, median {np.median(ratios):.3f}, least {min(ratios):.3f}\n"
+    )
     assert max(ratios) <= 1.0
     # A bound that is of use: half of them within a factor of two.
     assert np.median(ratios) > 0.5
@@ -66,7 +74,7 @@ def test_five_hundred_safe_hits_are_below_the_smallest():
 
 def test_settled_squeal_has_the_cycles_frequency_wherever_it_is_reached():
     rng = np.random.default_rng(9)
-    compared = 0
+    compared, worst = 0, 0.0
     for _ in range(60):
         p = random_point(rng)
         found = squeal_cycle(p)
@@ -81,5 +89,8 @@ def test_settled_squeal_has_the_cycles_frequency_wherever_it_is_reached():
         if len(leaves) < 3:
             continue  # it died out from this start
         compared += 1
-        assert (len(leaves) - 1) / (leaves[-1] - leaves[0]) == pytest.approx(found.frequency, rel=1e-5)
+        measured = (len(leaves) - 1) / (leaves[-1] - leaves[0])
+        worst = max(worst, abs(measured / found.frequency - 1.0))
+        assert measured == pytest.approx(found.frequency, rel=1e-5)
+    sys.stdout.write(f"{compared} settled motions, frequency off by {worst:.1e} at most\n")
     assert compared > 20

@@ -75,7 +75,7 @@ def trace(
     found = Trace([start])
     step, before = _FIRST_STEP, 0.0
     left = start.separates
-    origin, away, steepest = start.unknowns / shooter.scale, False, abs(fold_test(start))
+    origin, away, steepest = _shape(start, shooter), False, abs(fold_test(start))
     while len(found.orbits) < points:
         last = found.orbits[-1]
         row = last.tangent
@@ -122,9 +122,11 @@ def trace(
         if left and not orbit.separates:
             found.end, found.sentence = _linear_end(shooter, orbit)
             return found
-        distance = float(np.linalg.norm(orbit.unknowns / shooter.scale - origin))
+        here = _shape(orbit, shooter)
+        distance = float(np.linalg.norm(here - origin))
         away = away or distance > 3.0 * longest
-        if away and distance < 0.6 * step and float(new @ start.tangent) > _STRAIGHT:
+        onward = (here - _shape(last, shooter)) @ (_shape(found.orbits[1], shooter) - origin)
+        if away and distance < 0.6 * step and onward > 0.0:
             found.end, found.sentence = CLOSED, "the branch comes back to where it began"
             return found
         if until is not None and until(found):
@@ -136,6 +138,12 @@ def trace(
             step *= 0.6
     found.sentence = f"the branch goes on after {points} points"
     return found
+
+
+def _shape(orbit: Orbit, shooter: Shooter) -> Vector:
+    """What an orbit is whatever state of it is taken: peaks, period and parameter, in scaled units."""
+    peaks = orbit.tally[[flow.PEAK_X, flow.PEAK_Y]] / shooter.scale[0]
+    return np.concatenate([peaks, orbit.unknowns[4:] / shooter.scale[4:]])
 
 
 def _tangent_of(orbit: Orbit) -> Vector:
