@@ -16,7 +16,7 @@ from squeal_rig.estimation.friction import FrictionEstimator
 from squeal_rig.estimation.settings import FrictionSettings, SquealSettings
 from squeal_rig.estimation.spectra import amplitude_spectrum, peak_frequency
 from squeal_rig.estimation.squeal import SquealDetector
-from squeal_rig.model.core.law import friction_coefficient
+from squeal_rig.model.core.law import friction_coefficient, friction_refusal
 from squeal_rig.model.cycles.zones import zone
 from squeal_rig.model.linear.eigen import StabilityReport, stability_report
 from squeal_rig.model.parameters import RigParameters
@@ -33,6 +33,8 @@ _SPECTRUM_SECONDS = 0.5
 _MODE_BAND = (200.0, 5000.0)
 #: Zone of an operating point for which it cannot be computed.
 NOT_AVAILABLE = "not available"
+# A zone takes some tenths of a second.
+_MOST_ZONES = 200
 
 
 @dataclass
@@ -238,13 +240,23 @@ def _find_zones(segments: list[Segment]) -> str:
     reason = ""
     for segment in segments:
         p = segment.parameters
+        if p not in known and len(known) == _MOST_ZONES:
+            return f"it is computed for the first {_MOST_ZONES} different operating points"
         if p not in known:
-            try:
-                known[p] = zone(p).name
-            except ModelError as error:
-                known[p], reason = NOT_AVAILABLE, str(error)
+            known[p], reason = _zone_of(p, reason)
         segment.zone = known[p]
     return reason
+
+
+def _zone_of(p: RigParameters, reason: str) -> tuple[str, str]:
+    """Name of a zone with the reason as it is, or that there is none, and why."""
+    refusal = friction_refusal(p)
+    if refusal:
+        return NOT_AVAILABLE, refusal
+    try:
+        return zone(p).name, reason
+    except ModelError as error:
+        return NOT_AVAILABLE, str(error)
 
 
 def segment_rows(analysis: Analysis) -> Iterator[dict[str, Any]]:
