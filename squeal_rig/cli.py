@@ -86,12 +86,14 @@ def analyse(
     """Friction, squeal frequency against the eigenvalues, time off the belt: a table and a PNG."""
     from squeal_rig.analysis.segments import analyse_bag
     from squeal_rig.report.run_figure import check_picture, draw_run
-    from squeal_rig.report.tables import segment_table
+    from squeal_rig.report.tables import segment_table, zone_sentences
 
     target = picture or (bag if bag.is_dir() else bag.parent) / "report.png"
     check_picture(target, force)
     analysis = analyse_bag(bag)
     console.print(segment_table(analysis))
+    for sentence in zone_sentences(analysis):
+        console.print(sentence)
     if analysis.lost_samples:
         console.print(f"lost samples: {analysis.lost_samples}")
     if analysis.restarts:
@@ -109,6 +111,55 @@ def reproduce(
     from squeal_rig.studies.reproduction.run import run_reproduction
 
     run_reproduction(preset, out, console)
+
+
+PresetOption = Annotated[str, typer.Option(help="Preset to begin from.")]
+SetOption = Annotated[
+    list[str] | None, typer.Option("--set", help="Parameter of the rig, name=value; several may follow.")
+]
+MoreSettings = Annotated[list[str] | None, typer.Argument(metavar="[NAME=VALUE]...", help="More settings.")]
+FolderOption = Annotated[Path, typer.Option(help="New folder for the page, the pictures and the tables.")]
+FolderForceOption = Annotated[bool, typer.Option("--force", help="Overwrite files that are in the folder.")]
+
+
+@app.command()
+def cycles(
+    out: FolderOption,
+    preset: PresetOption = "yavuz_sen_2023",
+    setting: SetOption = None,
+    more: MoreSettings = None,
+    over: Annotated[
+        str, typer.Option(help="Parameter along which they are followed: mu0, pad_stiffness, any other number.")
+    ] = "mu0",
+    within: Annotated[str | None, typer.Option(help="Range of that parameter, low:high.", metavar="LOW:HIGH")] = None,
+    force: FolderForceOption = False,
+) -> None:
+    """Squeal cycles and separatrix of a rig along one of its parameters: branch, folds, multipliers, contact force."""
+    from squeal_rig.configuration.arguments import span
+    from squeal_rig.model.parameters import RigParameters
+    from squeal_rig.studies.hard_squeal.pages import run_cycles
+
+    rig = RigParameters.chosen(preset, [*(setting or ()), *(more or ())])
+    run_cycles(rig, over, span(within, over) if within else None, out, force, console)
+
+
+@app.command("map")
+def zone_map(
+    out: FolderOption,
+    preset: PresetOption = "yavuz_sen_2023",
+    setting: SetOption = None,
+    more: MoreSettings = None,
+    preload: Annotated[str, typer.Option(help="Range of the preload [N], low:high.", metavar="LOW:HIGH")] = "10:300",
+    speed: Annotated[str, typer.Option(help="Range of the belt speed [m/s], low:high.", metavar="LOW:HIGH")] = "1:4",
+    force: FolderForceOption = False,
+) -> None:
+    """Where a rig is quiet, where one hit makes it squeal, where it squeals by itself: over preload and belt speed."""
+    from squeal_rig.configuration.arguments import span
+    from squeal_rig.model.parameters import RigParameters
+    from squeal_rig.studies.hard_squeal.pages import run_map
+
+    rig = RigParameters.chosen(preset, [*(setting or ()), *(more or ())])
+    run_map(rig, span(preload, "preload", "N"), span(speed, "belt speed", "m/s"), out, force, console)
 
 
 @app.command()

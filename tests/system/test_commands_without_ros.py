@@ -12,11 +12,11 @@ from squeal_rig.recording import BagWriter
 from tests.made_bag import write_squeal
 from tests.messages import schema_of, string_cdr
 
-_COMMANDS = ("run", "demo", "analyse", "check", "info", "warm-up")
+_COMMANDS = ("run", "demo", "analyse", "cycles", "map", "check", "info", "warm-up")
 
 
 @pytest.fixture(scope="module")
-def bag(tmp_path_factory):
+def bag(tmp_path_factory, compiled_zones):
     """A bag of a second of squeal."""
     folder = tmp_path_factory.mktemp("bags") / "bag"
     write_squeal(folder)
