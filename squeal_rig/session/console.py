@@ -77,6 +77,7 @@ class StateDisplay:
                 f"{_number(s.critical_stiffness, '.3g')} N/m at k = {_number(s.pad_stiffness, '.3g')} N/m,"
                 f" margin {_number(s.margin, '+.2f')}: {stable}",
             ),
+            ("zone", _zone(s)),
             ("squeal", squeal),
             ("recorded", recorded),
         ]
@@ -87,6 +88,11 @@ class StateDisplay:
 def _plain(text: str) -> Text:
     """A text that others wrote: no markup, no control characters."""
     return Text("".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in text))
+
+
+def _zone(s: LiveState) -> str:
+    hit = f", smallest hit {s.smallest_hit:.3g} N s" if s.smallest_hit > 0.0 else ""
+    return f"{s.zone or '-'}{hit}"
 
 
 def _number(value: float, form: str) -> str:

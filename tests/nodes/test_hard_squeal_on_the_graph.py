@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from squeal_rig.estimation.hard_squeal import COMPUTED, NAME, STATE_KEY, hard_squeal
+from squeal_rig.model import smallest_hit, zone
 from tests.graph.processes import parameters
 from tests.graph.statuses import status_of
 
@@ -135,3 +136,38 @@ def bisected(observer, point):
         middle = 0.5 * (low + high)
         low, high = (low, middle) if squeals(middle) else (middle, high)
     return told, low, high
+
+
+@pytest.mark.slow
+def test_a_slow_ramp_down_in_mu_ends_squeal_at_the_fold(compiled, processes, observer, config_file, measured):
+    """At c = 1000 N s/m, 0.0005 in mu each half second of sampled time."""
+    law = {"mu_speed": 0.0, "mu_preload": 0.0, "mu_speed_preload": 0.0, "mu0": 0.35}
+    values = {**law, "damping_x": 1000.0, "damping_y": 1000.0, "real_time_factor": 2.0}
+    files = ["--params-file", str(config_file)]
+    rig = processes.node("simulator", *files, *parameters(**values))
+    with observer.following_for_a_while():
+        blocks = observer.follow_samples("daq/samples")
+        observer.wait_for(lambda: blocks, "samples")
+        p = observer.description().parameters
+        fold, hit = zone(p).fold_mu, smallest_hit(p)
+        struck = {"impact_impulse": 1.1 * hit.impulse, "impact_direction": hit.direction}
+        assert observer.set(struck) == [(True, "")] * 2
+        assert observer.trigger("impact")[0]
+
+        def amplitude(seconds):
+            end = int(blocks[-1].samples["seq"][-1]) + int(seconds * 51200)
+            observer.wait_for(lambda: int(blocks[-1].samples["seq"][-1]) > end, "the wait")
+            return float(np.ptp(blocks[-1].samples["x"]))
+
+        assert amplitude(2.0) > 1e-7
+        for mu in (0.2, 0.12, 0.1):
+            assert observer.set({"mu0": mu}) == [(True, "")]
+            assert amplitude(1.0) > 1e-7
+        while mu > 0.08:
+            assert observer.set({"mu0": mu}) == [(True, "")]
+            if amplitude(0.5) < 1e-8:
+                break
+            mu -= 0.0005
+    measured(f"squeal ends at mu = {mu:.4f} going down 0.001 a second; the fold is at {fold:.4f}")
+    assert mu == pytest.approx(fold, rel=0.02)
+    assert rig.end()[0] == 0
