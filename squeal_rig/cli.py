@@ -64,7 +64,7 @@ def run(
 def demo(
     bag: Annotated[Path | None, typer.Option(help="Bag to write; bags/<UTC stamp> by default.")] = None,
 ) -> None:
-    """From quiet sliding into squeal: a scripted run of 20 s, its bag, its replay, its picture."""
+    """From quiet sliding into squeal: a scripted run of 23 s, its bag, its replay, its picture."""
     from squeal_rig.graph import signals
     from squeal_rig.session.demo import run_demo
 
@@ -86,12 +86,14 @@ def analyse(
     """Friction, squeal frequency against the eigenvalues, time off the belt: a table and a PNG."""
     from squeal_rig.analysis.segments import analyse_bag
     from squeal_rig.report.run_figure import check_picture, draw_run
-    from squeal_rig.report.tables import segment_table
+    from squeal_rig.report.tables import segment_table, zone_sentences
 
     target = picture or (bag if bag.is_dir() else bag.parent) / "report.png"
     check_picture(target, force)
     analysis = analyse_bag(bag)
     console.print(segment_table(analysis))
+    for sentence in zone_sentences(analysis):
+        console.print(sentence)
     if analysis.lost_samples:
         console.print(f"lost samples: {analysis.lost_samples}")
     if analysis.restarts:
@@ -111,6 +113,55 @@ def reproduce(
     run_reproduction(preset, out, console)
 
 
+PresetOption = Annotated[str, typer.Option(help="Preset to begin from.")]
+SetOption = Annotated[
+    list[str] | None, typer.Option("--set", help="Parameter of the rig, name=value; several may follow.")
+]
+MoreSettings = Annotated[list[str] | None, typer.Argument(metavar="[NAME=VALUE]...", help="More settings.")]
+FolderOption = Annotated[Path, typer.Option(help="New folder for the page, the pictures and the tables.")]
+FolderForceOption = Annotated[bool, typer.Option("--force", help="Overwrite files that are in the folder.")]
+
+
+@app.command()
+def cycles(
+    out: FolderOption,
+    preset: PresetOption = "yavuz_sen_2023",
+    setting: SetOption = None,
+    more: MoreSettings = None,
+    over: Annotated[
+        str, typer.Option(help="Parameter along which they are followed: mu0, pad_stiffness, any other number.")
+    ] = "mu0",
+    within: Annotated[str | None, typer.Option(help="Range of that parameter, low:high.", metavar="LOW:HIGH")] = None,
+    force: FolderForceOption = False,
+) -> None:
+    """Squeal cycles and separatrix of a rig along one of its parameters: branch, folds, multipliers, contact force."""
+    from squeal_rig.configuration.arguments import span
+    from squeal_rig.model.parameters import RigParameters
+    from squeal_rig.studies.hard_squeal.pages import run_cycles
+
+    rig = RigParameters.chosen(preset, [*(setting or ()), *(more or ())])
+    run_cycles(rig, over, span(within, over) if within else None, out, force, console)
+
+
+@app.command("map")
+def zone_map(
+    out: FolderOption,
+    preset: PresetOption = "yavuz_sen_2023",
+    setting: SetOption = None,
+    more: MoreSettings = None,
+    preload: Annotated[str, typer.Option(help="Range of the preload [N], low:high.", metavar="LOW:HIGH")] = "10:300",
+    speed: Annotated[str, typer.Option(help="Range of the belt speed [m/s], low:high.", metavar="LOW:HIGH")] = "1:4",
+    force: FolderForceOption = False,
+) -> None:
+    """Where a rig is quiet, where one hit makes it squeal, where it squeals by itself: over preload and belt speed."""
+    from squeal_rig.configuration.arguments import span
+    from squeal_rig.model.parameters import RigParameters
+    from squeal_rig.studies.hard_squeal.pages import run_map
+
+    rig = RigParameters.chosen(preset, [*(setting or ()), *(more or ())])
+    run_map(rig, span(preload, "preload", "N"), span(speed, "belt speed", "m/s"), out, force, console)
+
+
 @app.command()
 def check(
     file: Annotated[
@@ -121,6 +172,18 @@ def check(
     from squeal_rig.catalogue.checking import check_file
 
     console.print(f"{file}: {check_file(file)}, all in order")
+
+
+@app.command("warm-up")
+def warm_up() -> None:
+    """Compile the model now instead of at its first use: after an installation, in a container image."""
+    import time
+
+    from squeal_rig.instruments.warm_up import warm_up as compile_everything
+
+    begin = time.monotonic()
+    compile_everything()
+    console.print(f"the model is compiled: {time.monotonic() - begin:.1f} s")
 
 
 bag_app = typer.Typer(

@@ -49,6 +49,14 @@ def observer(domain):
 
 
 @pytest.fixture(scope="session")
+def compiled_zones():
+    """Has on disk what `analyse` compiles: a process that is given a minute has the time it needs."""
+    from squeal_rig.model import RigParameters, zone
+
+    zone(RigParameters(damping_x=20.0, damping_y=20.0))
+
+
+@pytest.fixture(scope="session")
 def compiled(tmp_path_factory):
     """Has the compiled model on disk, so that nodes start as they do from the second time on."""
     from .graph.observer import Observer

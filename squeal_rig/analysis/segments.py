@@ -16,7 +16,8 @@ from squeal_rig.estimation.friction import FrictionEstimator
 from squeal_rig.estimation.settings import FrictionSettings, SquealSettings
 from squeal_rig.estimation.spectra import amplitude_spectrum, peak_frequency
 from squeal_rig.estimation.squeal import SquealDetector
-from squeal_rig.model.core.law import friction_coefficient
+from squeal_rig.model.core.law import friction_coefficient, friction_refusal
+from squeal_rig.model.cycles.zones import zone
 from squeal_rig.model.linear.eigen import StabilityReport, stability_report
 from squeal_rig.model.parameters import RigParameters
 from squeal_rig.recording import Bag
@@ -30,6 +31,10 @@ SHORTEST_SEGMENT = 0.3
 #: Signal kept of each segment for its spectrum [s]: the last part, where it has settled.
 _SPECTRUM_SECONDS = 0.5
 _MODE_BAND = (200.0, 5000.0)
+#: Zone of an operating point for which it cannot be computed.
+NOT_AVAILABLE = "not available"
+# A zone takes some tenths of a second.
+_MOST_ZONES = 200
 
 
 @dataclass
@@ -52,6 +57,12 @@ class Segment:
     signal: list[Values] = field(default_factory=list)
     sample_rate: float = 0.0
     stability: StabilityReport | None = None
+    zone: str = NOT_AVAILABLE
+
+    @property
+    def hard_squeal(self) -> bool:
+        """Whether it squeals where the eigenvalues call it stable."""
+        return bool(self.squealing) and self.stability is not None and not self.stability.unstable
 
     @property
     def duration(self) -> float:
@@ -108,7 +119,7 @@ class Course:
 
 @dataclass(frozen=True)
 class Analysis:
-    """All that is known of a recorded run."""
+    """All that is known of a recorded run; `no_zone`: why some operating point has no zone."""
 
     title: str
     sample_rate: int
@@ -117,6 +128,7 @@ class Analysis:
     segments: list[Segment]
     course: Course
     duration: float
+    no_zone: str = ""
 
 
 def analyse_bag(path: Path | str) -> Analysis:
@@ -216,9 +228,35 @@ class _Analyser:
                 segment.stability = stability_report(segment.parameters)
             except ModelError:
                 segment.stability = None  # shown as none: there is nothing to compare with
+        no_zone = _find_zones(segments)
         duration = self._end / self._rate
         lost = self._friction.lost_samples
-        return Analysis(title, self._rate, lost, self._restarts, segments, self._course, duration)
+        return Analysis(title, self._rate, lost, self._restarts, segments, self._course, duration, no_zone)
+
+
+def _find_zones(segments: list[Segment]) -> str:
+    """Find the zone of each segment, once for each operating point; returns why one has none."""
+    known: dict[RigParameters, str] = {}
+    reason = ""
+    for segment in segments:
+        p = segment.parameters
+        if p not in known and len(known) == _MOST_ZONES:
+            return f"it is computed for the first {_MOST_ZONES} different operating points"
+        if p not in known:
+            known[p], reason = _zone_of(p, reason)
+        segment.zone = known[p]
+    return reason
+
+
+def _zone_of(p: RigParameters, reason: str) -> tuple[str, str]:
+    """Name of a zone with the reason as it is, or that there is none, and why."""
+    refusal = friction_refusal(p)
+    if refusal:
+        return NOT_AVAILABLE, refusal
+    try:
+        return zone(p).name, reason
+    except ModelError as error:
+        return NOT_AVAILABLE, str(error)
 
 
 def segment_rows(analysis: Analysis) -> Iterator[dict[str, Any]]:
@@ -234,6 +272,7 @@ def segment_rows(analysis: Analysis) -> Iterator[dict[str, Any]]:
             "k_cr [N/m]": s.critical_pad_stiffness if s else math.nan,
             "margin": s.margin if s else math.nan,
             "eigenvalues": "none" if s is None else "unstable" if s.unstable else "stable",
+            "zone": segment.zone,
             "rig": {True: "squeal", False: "quiet", None: "no numbers"}[segment.squealing],
             "mu set": segment.mu_set,
             "mu (2.2)": _mean(segment.mu),

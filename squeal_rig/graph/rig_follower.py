@@ -11,6 +11,7 @@ from rcl_interfaces.msg import ParameterEvent
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import QoSProfile, qos_profile_parameter_events
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 
@@ -19,6 +20,7 @@ from squeal_rig.errors import SquealRigError
 from squeal_rig.graph import qos
 from squeal_rig.graph.conversions import ERROR, OK, STALE, WARN
 from squeal_rig.graph.health import Health
+from squeal_rig.graph.lifetime import STEADY
 from squeal_rig.instruments.channels import DAQ_CHANNELS, block_from_cdr
 from squeal_rig.instruments.description import RigDescription
 from squeal_rig.instruments.driver import Samples
@@ -27,9 +29,14 @@ from squeal_rig.model.parameters import RigParameters
 
 _RIG_NODE = "rig"
 _DAQ = "daq/samples"
+#: Value of a follower's health: how long no samples came although somebody offers them.
+UNSERVED = "unserved [s]"
 _NUMBERS = [channel.name for channel in DAQ_CHANNELS if channel.code == "<f8"]
 # Time without samples [s] after which a node that needs them is stale.
 _LIMIT = 1.0
+# Where samples have stopped coming although somebody publishes them, waits between tries to wake them [s].
+_FIRST_WAIT, _LONGEST_WAIT = 3.0, 60.0
+_LOOK_EVERY = 0.5
 # A rig is started again now and then; one that is every second is two.
 _MIXED = 2
 
@@ -62,9 +69,14 @@ class RigFollower:
         self._numbering = Numbering()
         self._blocks = self._rejected = self._refused = self._not_finite = 0
         self._told: dict[str, int] = {}
+        self._depth = depth
+        self._waking: Subscription | None = None
+        self._tries = self._wakings = 0
+        self._next_try = 0.0
         self.description: RigDescription | None = None
         node.create_subscription(String, "rig/description", self._on_description, qos.LATCHED)
-        node.create_subscription(PointCloud2, _DAQ, self._on_block, depth, raw=True)
+        self._subscription = self._subscribe(self._on_block)
+        node.create_timer(_LOOK_EVERY, self._wake, clock=STEADY)
         if events:
             namespace = node.get_namespace().rstrip("/")
             self._rig = f"{namespace}/{_RIG_NODE}"
@@ -121,6 +133,33 @@ class RigFollower:
         except SquealRigError as error:
             self.reject(error)
 
+    def _wake(self) -> None:
+        """Have samples delivered again that are held back.
+
+        Readers that were all stopped for some seconds while the rig went on are often never served again by Fast DDS,
+        as a plain talker shows, until another one joins. One that takes nothing mostly is enough and loses nothing;
+        where it is not, ours is made anew. A rig that is paused looks the same from here, so tries become rare.
+        """
+        now = time.monotonic()
+        if self._last_block is None or now - self._last_block <= _LIMIT:
+            self._tries, self._next_try = 0, now
+        elif now >= self._next_try and self._node.count_publishers(self._subscription.topic_name) > 0:
+            self._next_try = now + min(_FIRST_WAIT * 2.0**self._tries, _LONGEST_WAIT)
+            if self._tries % 2:
+                self._node.destroy_subscription(self._subscription)
+                self._subscription = self._subscribe(self._on_block)
+            else:
+                self._waking = self._subscribe(_ignored)
+            self._tries += 1
+            self._wakings += 1
+            return
+        if self._waking is not None and (self._tries == 0 or now > self._next_try - 0.5 * _FIRST_WAIT):
+            self._node.destroy_subscription(self._waking)
+            self._waking = None
+
+    def _subscribe(self, taken: Callable[[bytes], None]) -> Subscription:
+        return self._node.create_subscription(PointCloud2, _DAQ, taken, self._depth, raw=True)
+
     # --- health
 
     def health(self, values: Mapping[str, Any]) -> Health:
@@ -132,11 +171,13 @@ class RigFollower:
             "samples not finite": self._not_finite,
             "rejected messages": self._rejected,
             "refused descriptions": self._refused,
+            "wakings": self._wakings,
         }
         new = {name: count - self._told.get(name, 0) for name, count in counts.items()}
         self._told = counts
+        unserved = time.monotonic() - self._last_block if self._tries and self._last_block is not None else 0.0
         level, sentence = self._judged(new)
-        return level, sentence, {**values, **counts}
+        return level, sentence, {**values, **counts, UNSERVED: round(unserved, 1)}
 
     def _judged(self, new: Mapping[str, int]) -> tuple[bytes, str]:
         if self._refusal:
@@ -159,3 +200,7 @@ class RigFollower:
         if new["lost samples"]:
             return WARN, f"{new['lost samples']} samples were lost on the way here"
         return OK, "running"
+
+
+def _ignored(_data: bytes) -> None:
+    """What is taken only to be asked for."""

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from squeal_rig.configuration.arguments import assignments
 from squeal_rig.configuration.declared import Declared, quantity
 from squeal_rig.configuration.files import config_directory, load_yaml, yaml_mapping
 from squeal_rig.errors import ConfigurationError, ParameterError
@@ -140,6 +142,16 @@ class RigParameters(Declared):
             return cls.from_mapping(values, base)
         except (ConfigurationError, ParameterError) as error:
             raise type(error)(f"{path}: {error}") from None
+
+    @classmethod
+    def chosen(cls, preset: str, settings: Sequence[str] = ()) -> RigParameters:
+        """Parameters of a preset with settings on top, each a word `name=value`; `pad_stiffness` sets `k1` and `k2`.
+
+        Raises:
+            ConfigurationError: no such preset.
+            ParameterError: a setting is none, its name unknown or its value out of bounds.
+        """
+        return cls.preset(preset).replace(**assignments(settings))
 
     def to_yaml(self, path: Path | str) -> None:
         """Write every parameter as a flat YAML mapping that `from_yaml` reads back bit for bit."""

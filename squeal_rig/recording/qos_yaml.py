@@ -125,9 +125,11 @@ def qos_from_list(loaded: object) -> tuple[QosProfile, ...]:
     return tuple(qos_from_mapping(item) for item in loaded)
 
 
-def _policy_name(policy: str, value: str) -> str:
+def _policy_name(policy: str, value: object) -> str:
     """Return the name of a policy given by name or by the number older bags hold."""
     names = POLICIES[policy]
+    if not isinstance(value, str):
+        raise RecordingError(f"QoS {policy} is {value!r}; it must be one of {', '.join(names)}.")
     if not value.isdecimal():
         return value
     if int(value) < len(names):

@@ -5,11 +5,15 @@ from __future__ import annotations
 import csv
 import html
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from squeal_rig.configuration.files import reason_of
+from squeal_rig.configuration.new_files import new_file
+from squeal_rig.errors import DiskError
 from squeal_rig.report.paper_style import Picture
 
 _STYLE = """
@@ -32,9 +36,9 @@ class DataTable:
     columns: Sequence[str]
     rows: Sequence[Sequence[Any]]
 
-    def write_csv(self, folder: Path) -> None:
-        """Write `<name>.csv` with all digits."""
-        with (folder / f"{self.name}.csv").open("w", newline="", encoding="utf-8") as stream:
+    def write_csv(self, path: Path) -> None:
+        """Write the table with all digits."""
+        with path.open("w", newline="", encoding="utf-8") as stream:
             writer = csv.writer(stream)
             writer.writerow(self.columns)
             writer.writerows(self.rows)
@@ -42,12 +46,42 @@ class DataTable:
 
 @dataclass
 class Section:
-    """A heading, its text (plain, one paragraph an entry), tables and pictures."""
+    """A heading, its text (plain, one paragraph an entry), tables and pictures; `data`: tables for files only."""
 
     title: str
     text: list[str] = field(default_factory=list)
     tables: list[DataTable] = field(default_factory=list)
     pictures: list[Picture] = field(default_factory=list)
+    data: list[DataTable] = field(default_factory=list)
+
+
+def check_folder(folder: Path, force: bool = False) -> None:
+    """Raise DiskError where a folder has something in it and is not to be written into."""
+    try:
+        taken = any(folder.iterdir()) if folder.is_dir() else os.path.lexists(folder)
+    except OSError as error:
+        raise DiskError(f"Cannot write into {folder}: {reason_of(error)}.") from None
+    if taken and not folder.is_dir():
+        raise DiskError(f"{folder} exists already, and is no folder.")
+    if taken and not force:
+        raise DiskError(f"{folder} is not empty; --force overwrites what has the names of the new files.")
+
+
+def write_report(title: str, lead: Sequence[str], sections: Sequence[Section], page: Path, force: bool = False) -> None:
+    """Write the page, and beside it every picture as PNG and every table as CSV.
+
+    Raises:
+        DiskError: a file is there already and not to be overwritten, or the system refuses.
+    """
+    for section in sections:
+        for shown in section.pictures:
+            with new_file(page.parent / f"{shown.name}.png", force) as draft:
+                draft.write_bytes(shown.png)
+        for table in (*section.tables, *section.data):
+            with new_file(page.parent / f"{table.name}.csv", force) as draft:
+                table.write_csv(draft)
+    with new_file(page, force) as draft:
+        write_page(title, lead, sections, draft)
 
 
 def write_page(title: str, lead: Sequence[str], sections: Sequence[Section], path: Path) -> None:

@@ -6,7 +6,6 @@ import base64
 import io
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 #: One style a curve: colour, line, marker; distinct in grey too.
@@ -30,10 +29,6 @@ class Picture:
     def as_data_uri(self) -> str:
         """The PNG for an <img> of a page that needs no other file."""
         return "data:image/png;base64," + base64.b64encode(self.png).decode("ascii")
-
-    def write(self, folder: Path) -> None:
-        """Write `<name>.png`."""
-        (folder / f"{self.name}.png").write_bytes(self.png)
 
 
 def style(number: int, markers: bool = False) -> dict[str, Any]:

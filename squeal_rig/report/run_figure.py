@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from squeal_rig.analysis.segments import Analysis, Segment
+from squeal_rig.analysis.segments import NOT_AVAILABLE, Analysis, Segment
 from squeal_rig.configuration.new_files import check_free, new_file
 from squeal_rig.errors import RecordingError
 from squeal_rig.estimation.spectra import REFERENCE
@@ -81,8 +81,9 @@ def _operating_point(axis: Any, analysis: Analysis) -> None:
         if s is None or math.isnan(s.critical_pad_stiffness):
             continue
         word = "unstable" if s.unstable else "stable"
+        zone = "" if segment.zone == NOT_AVAILABLE else f"\nzone: {segment.zone}"
         axis.annotate(
-            f"k/k$_{{cr}}$ = {s.pad_stiffness / s.critical_pad_stiffness:.2f}\n{word}",
+            f"k/k$_{{cr}}$ = {s.pad_stiffness / s.critical_pad_stiffness:.2f}\n{word}{zone}",
             (0.5 * (segment.begin + segment.end), 0.5),
             xycoords=("data", "axes fraction"),
             ha="center",

@@ -26,6 +26,19 @@ def segment_table(analysis: Analysis) -> Table:
     return table
 
 
+def zone_sentences(analysis: Analysis) -> list[str]:
+    """What stands below the table: squeal that the eigenvalues do not know of, and why a zone is missing."""
+    sentences = []
+    hard = [(i, segment.zone) for i, segment in enumerate(analysis.segments, 1) if segment.hard_squeal]
+    if hard:
+        points = ", ".join(f"{i} (zone: {name})" for i, name in hard)
+        which = f"operating point {points} squeals" if len(hard) == 1 else f"operating points {points} squeal"
+        sentences.append(f"hard squeal: {which} where the eigenvalues call the rig stable")
+    if analysis.no_zone:
+        sentences.append(f"zone not available: {analysis.no_zone}")
+    return sentences
+
+
 def _cell(name: str, value: Any) -> str:
     if isinstance(value, float):
         return "-" if math.isnan(value) else format(value, _FORMS.get(name, ".4f"))

@@ -152,7 +152,7 @@ def test_a_snapshot_holds_the_last_seconds_on_request_and_on_squeal(processes, o
         assert alone.topics["/rig/description"].message_count == 1
 
 
-@pytest.fixture(params=["tmpfs", "reserve"])
+@pytest.fixture(params=[pytest.param("tmpfs", marks=pytest.mark.slow), "reserve"])
 def small_disk(request, tmp_path):
     """(folder, reserve [MB]): a disk of 30 MB, or one on which all but 30 MB are to be left free."""
     if request.param == "reserve":
@@ -229,6 +229,7 @@ def test_one_odd_stamp_and_an_early_snapshot_end_no_recording(processes, observe
     assert Bag(tmp_path / "run").ending == "complete"
 
 
+@pytest.mark.slow
 def test_messages_that_overrun_the_queue_are_counted(processes, observer, tmp_path):
     """Fast DDS replaces the oldest without a word; the numbers of the publisher tell."""
     from rclpy.qos import QoSProfile
@@ -258,7 +259,11 @@ def test_readers_of_others_agree_message_by_message(processes, observer, health,
     from rosbags.typesys import Stores, get_typestore
 
     recorder = processes.node("recorder", *parameters(directory=tmp_path / "run"))
-    recording(observer, health, 1500)  # three seconds: the load changes its parameter every second
+    recording(observer, health)
+    events = observer.follow("/parameter_events")
+    # The load changes its parameter every second: the second change from now on is after whatever was joined late.
+    observer.wait_for(lambda: len(events) > 1, "two changes of a parameter")
+    recording(observer, health, 1500)
     assert recorder.end()[0] == 0
     bag = Bag(tmp_path / "run")
     ours = sorted((m.topic, m.log_time, m.data) for m in bag.messages())

@@ -15,6 +15,8 @@ from rcl_interfaces.msg import Parameter as Change
 from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, ListParameters
 
+#: Every node, all but the rig in the slow suite.
+RIG_OR_SLOW = [name if name == "rig" else pytest.param(name, marks=pytest.mark.slow) for name in NODE_PARAMETERS]
 REFERENCE = Path(__file__).parents[2] / "bags" / "reference"
 FOR_ALL = """\
 /**:
@@ -35,7 +37,7 @@ def start(processes, name, folder, *arguments):
     return processes.node(executable, *arguments, *needs.get(name, []))
 
 
-@pytest.mark.parametrize("name", NODE_PARAMETERS)
+@pytest.mark.parametrize("name", RIG_OR_SLOW)
 def test_a_block_for_every_node_is_taken_as_far_as_a_node_has_it(compiled, processes, observer, tmp_path, name):
     file = tmp_path / "all.yaml"
     file.write_text(FOR_ALL, encoding="utf-8")
@@ -72,7 +74,7 @@ def dumped(observer, name):
     return "\n".join(lines) + "\n"
 
 
-@pytest.mark.parametrize("name", NODE_PARAMETERS)
+@pytest.mark.parametrize("name", RIG_OR_SLOW)
 def test_what_a_node_dumps_it_loads_and_the_check_takes(compiled, processes, observer, tmp_path, name):
     extra = parameters(regularization_speed=1e-05) if name == "rig" else []
     first = start(processes, name, tmp_path / "first", *extra)

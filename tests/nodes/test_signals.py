@@ -26,7 +26,10 @@ def recorded(compiled, tmp_path_factory):
     return bag
 
 
-@pytest.fixture(scope="module", params=list(SIGNALS))
+@pytest.fixture(
+    scope="module",
+    params=["double_sigint", *(pytest.param(name, marks=pytest.mark.slow) for name in ("sigint", "sigterm"))],
+)
 def endings(request, recorded, processes, observer, tmp_path_factory):
     """Node -> (exit code, time to end [s], stderr): all nodes run at once and are ended one after the other."""
     folder = tmp_path_factory.mktemp("recorded")

@@ -63,7 +63,9 @@ def test_stamps_are_t0_plus_k_over_rate_without_drift(bench):
     assert all(stamps[seq] == true_stamps[seq] for seq in both)
 
 
-@pytest.mark.parametrize(("real_time_factor", "rate"), [(0.0, 20000), (2.0, 51200), (1000.0, 51200)])
+@pytest.mark.parametrize(
+    ("real_time_factor", "rate"), [(0.0, 20000), pytest.param(2.0, 51200, marks=pytest.mark.slow), (1000.0, 51200)]
+)
 def test_when_not_in_real_time_the_clock_is_published_and_follows_the_samples(
     compiled, processes, observer, measured, real_time_factor, rate
 ):

@@ -92,6 +92,9 @@ def test_the_infinity_of_an_old_middleware_is_read_as_infinite():
         "- {}",
         LATCHED.replace("keep_last", "keep_some"),
         LATCHED.replace("depth: 1", "depth: -1"),
+        LATCHED.replace("keep_last", "[]"),
+        LATCHED.replace("history: keep_last", "history:"),
+        LATCHED.replace("automatic", "{a: b}"),
     ],
 )
 def test_text_that_is_no_qos_is_refused_with_a_sentence(text):

@@ -5,15 +5,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from squeal_rig.analysis import segments
 from squeal_rig.analysis.segments import analyse_bag, segment_rows
 from squeal_rig.errors import RecordingError
 from squeal_rig.instruments.acquisition import Acquisition
 from squeal_rig.instruments.description import RigDescription
 from squeal_rig.instruments.settings import RigSettings
 from squeal_rig.instruments.virtual import VirtualRig
-from squeal_rig.model import RigParameters
+from squeal_rig.model import RigParameters, zone
 from squeal_rig.recording import BagWriter, MessageSchema, cdr_from_samples
 from squeal_rig.report.run_figure import draw_run
+from squeal_rig.report.tables import zone_sentences
 from squeal_rig.samples.blocks import recorded_blocks
 from tests.messages import string_cdr
 
@@ -65,6 +67,68 @@ def test_the_run_falls_into_quiet_and_squeal(bag: Path):
     assert 930.0 < squeal["f squeal [Hz]"] < 1000.0
     assert squeal["f eigen [Hz]"] == pytest.approx(1152.0, abs=1.0)
     assert 0.5 < squeal["off belt share"] < 0.65
+
+
+def record(path: Path, parameters: RigParameters, steps: dict[int, str], blocks: int) -> Path:
+    """A bag of the virtual rig's samples, with impacts and resets at given blocks."""
+    rig = Acquisition(VirtualRig(), parameters, RigSettings())
+    rig.start(10**18)
+    with BagWriter(path) as writer:
+        description = writer.add_topic("/rig/description", STRING.type_name, schema=STRING)
+        daq = writer.add_topic("/daq/samples", CLOUD.type_name, schema=CLOUD)
+        writer.write(description, string_cdr(RigDescription(parameters).to_yaml()), 10**18, 10**18)
+        for number in range(blocks):
+            if number in steps:
+                getattr(rig, steps[number])()
+            block = rig.next_block()
+            writer.write(daq, cdr_from_samples(block.daq, block.stamp), block.stamp, block.stamp)
+    rig.close()
+    return path
+
+
+def test_each_operating_point_has_its_zone(bag: Path):
+    analysis = analyse_bag(bag)
+    assert [row["zone"] for row in segment_rows(analysis)] == ["bistable", "squeal"]
+    # At 300 N the eigenvalues tell it: no hard squeal.
+    assert zone_sentences(analysis) == []
+
+
+def test_squeal_that_the_eigenvalues_call_stable_is_said_to_be_so(tmp_path: Path):
+    # The impact of the default settings, 0.05 N s, is above the smallest hit at 50 N.
+    analysis = analyse_bag(record(tmp_path / "bag", PARAMETERS, {50: "impact"}, 160))
+    quiet, squeal = list(segment_rows(analysis))
+    assert (quiet["rig"], quiet["zone"], squeal["rig"], squeal["zone"]) == ("quiet", "bistable", "squeal", "bistable")
+    assert squeal["eigenvalues"] == "stable"
+    assert zone_sentences(analysis) == [
+        "hard squeal: operating point 2 (zone: bistable) squeals where the eigenvalues call the rig stable"
+    ]
+
+
+def test_equal_operating_points_are_asked_for_their_zone_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    asked = []
+    monkeypatch.setattr(segments, "zone", lambda p: asked.append(p) or zone(p))
+    analysis = analyse_bag(record(tmp_path / "bag", PARAMETERS, {50: "impact", 120: "reset", 170: "impact"}, 240))
+    assert len(analysis.segments) >= 3
+    assert len(asked) == 1
+    assert zone_sentences(analysis)[0].startswith("hard squeal: operating points 2 (zone: bistable), ")
+    monkeypatch.setattr(segments, "_MOST_ZONES", 0)
+    assert segments._find_zones(analysis.segments) == "it is computed for the first 0 different operating points"
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"damping_x": 0.0, "damping_y": 0.0}, "need damping"),
+        ({"friction_direction": "slip"}, "friction_direction = slip"),
+    ],
+)
+def test_a_rig_without_zones_says_why(tmp_path: Path, changes: dict, reason: str):
+    analysis = analyse_bag(record(tmp_path / "bag", PARAMETERS.replace(**changes), {}, 60))
+    assert {row["zone"] for row in segment_rows(analysis)} == {"not available"}
+    (sentence,) = zone_sentences(analysis)
+    assert sentence.startswith("zone not available: cycles, zones and hits")
+    assert reason in sentence
+    draw_run(analysis, tmp_path / "run.png")
 
 
 def test_the_picture_is_a_png_of_some_substance(bag: Path, tmp_path: Path):

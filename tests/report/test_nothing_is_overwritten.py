@@ -13,7 +13,7 @@ from squeal_rig.samples.export import export_bag
 
 
 @pytest.fixture
-def run(tmp_path):
+def run(tmp_path, compiled_zones):
     record(tmp_path / "run", blocks=60)
     return tmp_path / "run"
 

@@ -45,14 +45,14 @@ def cloud_bag(directory, names, topic="/cloud", formats=None, offsets=None, coun
 
 
 @pytest.fixture(scope="module")
-def rig_bag(tmp_path_factory):
+def rig_bag(tmp_path_factory, compiled_zones):
     directory = tmp_path_factory.mktemp("odd") / "run"
     record(directory, blocks=60)
     return directory
 
 
 @pytest.fixture
-def steering_bag(tmp_path):
+def steering_bag(tmp_path, compiled_zones):
     """Every text of a bag that a command prints is a sequence for the terminal, or rich's markup."""
     odd = f"/[/x]{STEERING}"
     text = schema_of("std_msgs/msg/String")

@@ -124,7 +124,9 @@ def test_the_recorded_run_can_be_analysed_and_shown(planned, command_line):
     assert "/stability/summary" in output
 
 
-@pytest.mark.parametrize("signals", [(signal.SIGINT,), (signal.SIGINT, signal.SIGINT)])
+@pytest.mark.parametrize(
+    "signals", [pytest.param((signal.SIGINT,), marks=pytest.mark.slow), (signal.SIGINT, signal.SIGINT)]
+)
 def test_ctrl_c_ends_a_run_cleanly_with_a_valid_bag(processes, tmp_path, signals):
     child = processes.command("run", "--duration", "60", "--bag", tmp_path / "bag", cwd=tmp_path)
     _wait_for_word(child, "F = 50 N")
@@ -138,6 +140,7 @@ def test_ctrl_c_ends_a_run_cleanly_with_a_valid_bag(processes, tmp_path, signals
     ]
 
 
+@pytest.mark.slow
 def test_a_run_of_one_second_without_recording_ends_by_itself_and_leaves_nothing(processes, tmp_path):
     child = processes.command("run", "--duration", "1", "--no-record", cwd=tmp_path)
     assert child.wait(_PATIENCE) == 0, child.errors

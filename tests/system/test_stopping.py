@@ -5,6 +5,8 @@ import subprocess
 import sys
 import time
 
+import pytest
+
 from squeal_rig.session import processes
 
 # Ignores SIGINT; grows a file for so long, then ends by itself.
@@ -35,6 +37,7 @@ class Writer(processes.NodeProcess):
         assert self._process.stdout.readline() == b"ready\n"
 
 
+@pytest.mark.slow
 def test_a_node_that_still_writes_is_waited_for_and_one_that_hangs_is_killed(tmp_path, monkeypatch):
     monkeypatch.setattr(processes, "_STOP_TIMEOUT", 2.0)
     busy = Writer("recorder", tmp_path / "bag", 5.0)

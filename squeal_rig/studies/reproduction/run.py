@@ -6,15 +6,19 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from rich.console import Console
 from rich.progress import Progress as ProgressBar
 
 from squeal_rig.configuration.declared import declarations
+from squeal_rig.errors import ModelError
 from squeal_rig.model.parameters import RigParameters
-from squeal_rig.report.page import DataTable, Section, write_page
+from squeal_rig.report.page import DataTable, Section, write_report
+from squeal_rig.studies.hard_squeal.branches import Diagram, branch_diagram
+from squeal_rig.studies.hard_squeal.chart import Chart, zone_chart
+from squeal_rig.studies.hard_squeal.pages import what_figure_9_does_not_show
 from squeal_rig.studies.reproduction import figures, linear, nonlinear, statements
 from squeal_rig.studies.reproduction.friction_law import FrictionExperiment, measure_friction
 from squeal_rig.studies.reproduction.inverse import InverseResults, solve_inverse
@@ -25,10 +29,14 @@ from squeal_rig.studies.reproduction.statements import AGREES, DIFFERS, Statemen
 
 #: Damping of the nonlinear runs [N s/m]: the paper has none, where nothing settles; Table 1 is also run without.
 DAMPING = 20.0
+#: Pad stiffness [N/m] of zones and cycles, and points of their map each way.
+HARD_STIFFNESS = 4e7
+_CHART = 100
 _WITHIN = {"k_cr": 0.08, "frequency": 0.0856, "jump": 0.08}
 PAGE = "reproduction.html"
 
 Progress = Callable[[str], None]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -53,6 +61,8 @@ class Results:
     small: list[PeakCurve]
     impact: list[PeakCurve]
     inverse: InverseResults
+    chart: Chart | ModelError
+    diagram: Diagram | ModelError
 
     def statements(self) -> list[Statement]:
         """The eight statements of the conclusions, judged."""
@@ -86,6 +96,9 @@ def compute(preset: str, progress: Progress) -> Results:
     critical = linear.critical_map(p, preloads, speeds)
     coarse = preloads[::2]
     growth = {v: linear.growth_map(p.replace(belt_speed=v), coarse, stiffnesses) for v in linear.FIGURE_9_SPEEDS}
+    progress("what Fig. 9 does not show: zones and cycles")
+    hard = damped.replace(pad_stiffness=HARD_STIFFNESS)
+    chart, diagram = _found(lambda: zone_chart(hard, points=_CHART)), _found(lambda: branch_diagram(hard, "mu0"))
     progress("Fig. 10: spectra")
     spectra = nonlinear.spectrum_cases(damped, paper)
     progress("Fig. 11: contact force")
@@ -99,23 +112,25 @@ def compute(preset: str, progress: Progress) -> Results:
     solved = solve_inverse()
     return Results(
         preset, paper, friction, loci, linear.threshold_rows(p, paper), preloads, curves, speeds, critical,
-        stiffnesses, growth, spectra, forces, table, undamped, small, impact, solved,
+        stiffnesses, growth, spectra, forces, table, undamped, small, impact, solved, chart, diagram,
     )  # fmt: skip
 
 
+def _found(compute: Callable[[], T]) -> T | ModelError:
+    """A result, or the error that stands in its place on the page."""
+    try:
+        return compute()
+    except ModelError as error:
+        return error
+
+
 #: Stages that `compute` tells, for a progress bar.
-STAGES = 7 + 2 * 6
+STAGES = 8 + 2 * 6
 
 
 def write_results(results: Results, folder: Path) -> Path:
     """Write the page, every picture as PNG and every table as CSV; returns the page's path."""
-    folder.mkdir(parents=True, exist_ok=True)
     sections = list(_sections(results))
-    for section in sections:
-        for shown in section.pictures:
-            shown.write(folder)
-        for table in section.tables:
-            table.write_csv(folder)
     lead = [
         f"Every number and figure of Yavuz and Sen (2023), computed from the preset {results.preset}, beside what"
         " the paper's text reports (its figures' data are not published).",
@@ -123,7 +138,7 @@ def write_results(results: Results, folder: Path) -> Path:
         " without which nothing settles; Table 1 is given without damping too.",
     ]
     page = folder / PAGE
-    write_page("The paper, reproduced and corrected", lead, sections, page)
+    write_report("The paper, reproduced and corrected", lead, sections, page, force=True)
     return page
 
 
@@ -158,6 +173,7 @@ def _sections(r: Results) -> Iterable[Section]:
     boundary = {speed: (r.preloads, curve / 1e7) for speed, curve in r.curves.items()}
     maps = figures.map_figures(r.preloads[::2], r.speeds, r.critical[:, ::2], r.stiffnesses, r.growth, boundary)
     yield Section("Critical pad stiffness (Fig. 9) and beyond", pictures=[critical, *maps])
+    yield what_figure_9_does_not_show(r.diagram, r.chart)
     yield Section("Spectra (Fig. 10)", tables=[_harmonic_table(r)], pictures=[figures.spectra_figure(r.spectra)])
     yield Section("Contact force (Fig. 11)", pictures=[figures.force_figure(r.forces)])
     yield Section(

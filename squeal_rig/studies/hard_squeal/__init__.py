@@ -1,0 +1,1 @@
+"""What the eigenvalues do not say: branches of squeal cycles and maps of zones, as pictures, tables and pages."""
