@@ -39,8 +39,9 @@ class Hit:
     - impulse, direction: `impulse` is the larger end of the bracket; 0 where the rig squeals by itself, nan where no
       hit up to `upper_bound` starts squeal
     - bracket: the largest that was seen to die out below it, and the smallest seen to squeal
-    - scan_step, upper_bound: hits were tried in steps of `scan_step` up to the first that squeals or `upper_bound`;
-      squeal in a range of impulses narrower than a step can be missed
+    - scan_step, upper_bound: hits were tried in steps of `scan_step`, above one unit impulse m omega u in steps that
+      grow with the impulse, up to the first that squeals or `upper_bound`; squeal in a range of impulses narrower than
+      a step can be missed
     - larger: larger hits tried in that direction that die out again
     - left: hits tried that left the range of displacements in which the model holds, which is neither
     - sentence: what was found
@@ -77,7 +78,8 @@ def smallest_hit(
         p: parameters.
         direction: of the impulse [rad]; None: the direction with the smallest one, 36 scanned and the best refined.
         upper_bound: largest impulse tried [N s]; 20 unit impulses m omega u when None.
-        scan_step: between hits tried [N s]; 0.05 unit impulses when None.
+        scan_step: between hits tried [N s], up to one unit impulse; above it in proportion. 0.05 unit impulses when
+            None.
         tolerance: width of the bracket, as a share.
         beyond: up to this multiple of the smallest hit larger ones are tried, to see whether they die out again.
         known: `located(p)` where that is at hand.
@@ -116,7 +118,7 @@ def smallest_hit(
             top,
             (),
             tuple(search.left),
-            f"no hit up to {top:.4g} N s, tried in steps of {step:.4g} N s, starts lasting squeal {where}",
+            f"no hit up to {top:.4g} N s, tried in steps from {step:.4g} N s on, starts lasting squeal {where}",
         )
     angle, low, high = crossing
     low, high = search.bisected(angle, low, high)
@@ -147,9 +149,8 @@ class _Search:
     def first(self, angles: Vector) -> tuple[float, float, float] | None:
         """Of some directions the one that squeals first, with the last hit that dies out and the first that squeals."""
         low = 0.0
-        steps = math.ceil(self._top / self._step - 1e-9)
-        for n in range(1, steps + 1):
-            high = min(low + self._step, self._top) if n < steps else self._top
+        while low < self._top * (1.0 - 1e-9):
+            high = min(low + self._step * max(1.0, low / self._judge.unit_impulse), self._top)
             verdicts = self._verdicts(np.full(len(angles), high), angles)
             squealing = np.flatnonzero((verdicts == SETTLES) | (verdicts == OUTLASTS))
             if len(squealing):
