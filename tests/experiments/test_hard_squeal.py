@@ -202,7 +202,7 @@ def test_the_page_for_users_says_what_its_python_lines_give():
     lines = text.split("## From Python")[1].split("## Limits")[0].splitlines()
     code = "\n".join(line[4:] for line in lines if line.startswith("    "))
     names: dict = {}
-    exec(code, names)  # noqa: S102
+    exec(code, names)
     p = names["p"]
     assert zone(p).name == "bistable"
     assert squeal_cycle(p).frequency == pytest.approx(994.70, abs=0.005)
