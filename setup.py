@@ -76,7 +76,7 @@ setup(
             "rosbags>=0.10.11",
         ],
         # Peers of the benchmarks. numbalsoda builds with gfortran; without it `make bench` goes on and says so.
-        "bench": ["diffrax>=0.6", "jax>=0.4.30"],
+        "bench": ["diffrax>=0.6", "heyoka>=7.0", "jax>=0.4.30"],
         # Pinned to a minor version: another one may format or judge the same code differently.
         "lint": ["import-linter>=2.15,<3", "mypy>=2.4,<2.5", "ruff>=0.17.6,<0.18"],
         # colcon still calls setup.py, with options that setuptools 80 has dropped.

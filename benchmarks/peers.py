@@ -1,4 +1,4 @@
-"""The peers, their right-hand sides compiled: SciPy, numbalsoda, diffrax, our own RK4. A missing one is noted."""
+"""The peers, right-hand sides compiled: SciPy, numbalsoda, diffrax, heyoka, our own RK4. A missing one is noted."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import numba
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from benchmarks.case import CASE, DURATION, PACKED, RATE, START, TIMES, Point, best_time, error_of
+from benchmarks.case import CASE, DURATION, PACKED, RATE, SCALE, START, TIMES, Point, measured
+from benchmarks.taylor import heyoka
 from squeal_rig.model import Motion
 from squeal_rig.model.core.forces import acceleration
 from squeal_rig.model.core.layout import (
@@ -32,8 +33,6 @@ from squeal_rig.model.core.layout import (
     Vector,
 )
 
-# Solvers with mixed tolerances see lengths of 1e-5 m and speeds of 0.1 m/s: state in these units.
-SCALE = np.array([1e-5, 1e-5, 0.1, 0.1])
 RTOLS = (1e-4, 1e-6, 1e-8, 1e-9, 1e-10, 1e-12)
 
 
@@ -43,12 +42,6 @@ def scaled_derivative(z: Vector) -> Vector:
     vx, vy = z[2] * SCALE[2], z[3] * SCALE[3]
     ax, ay = acceleration(z[0] * SCALE[0], z[1] * SCALE[1], vx, vy, PACKED)
     return np.array([vx / SCALE[0], vy / SCALE[1], ax / SCALE[2], ay / SCALE[3]])
-
-
-def measured(solver: str, setting: str, run: Callable[[], Vector], expected: Vector) -> Point:
-    """Error and best time; `run` is called once before, to compile."""
-    error = error_of(run(), expected)
-    return Point(solver, setting, error, best_time(run))
 
 
 def exact(expected: Vector) -> Iterator[Point]:
@@ -167,7 +160,7 @@ def diffrax(expected: Vector) -> Iterator[Point]:
             yield measured(f"diffrax {name}", f"rtol {rtol:g}", run, expected)
 
 
-PEERS = (exact, rk4, scipy, numbalsoda, diffrax)
+PEERS = (exact, rk4, scipy, numbalsoda, diffrax, heyoka)
 
 
 def all_points(expected: Vector) -> tuple[list[Point], list[str]]:

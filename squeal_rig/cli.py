@@ -64,7 +64,7 @@ def run(
 def demo(
     bag: Annotated[Path | None, typer.Option(help="Bag to write; bags/<UTC stamp> by default.")] = None,
 ) -> None:
-    """From quiet sliding into squeal: a scripted run of 20 s, its bag, its replay, its picture."""
+    """From quiet sliding into squeal: a scripted run of 23 s, its bag, its replay, its picture."""
     from squeal_rig.graph import signals
     from squeal_rig.session.demo import run_demo
 
@@ -172,6 +172,18 @@ def check(
     from squeal_rig.catalogue.checking import check_file
 
     console.print(f"{file}: {check_file(file)}, all in order")
+
+
+@app.command("warm-up")
+def warm_up() -> None:
+    """Compile the model now instead of at its first use: after an installation, in a container image."""
+    import time
+
+    from squeal_rig.instruments.warm_up import warm_up as compile_everything
+
+    begin = time.monotonic()
+    compile_everything()
+    console.print(f"the model is compiled: {time.monotonic() - begin:.1f} s")
 
 
 bag_app = typer.Typer(

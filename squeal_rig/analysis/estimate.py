@@ -15,6 +15,7 @@ from typing import Any
 from squeal_rig.configuration.declared import declarations
 from squeal_rig.errors import DiskError, RecordingError, SquealRigError
 from squeal_rig.estimation.friction_follower import MODEL, MU, SAMPLES, WINDOWS, FrictionFollower, Message
+from squeal_rig.estimation.hard_squeal import COMPUTING, STATE_KEY, hard_squeal, pending
 from squeal_rig.estimation.settings import FrictionSettings
 from squeal_rig.estimation.stability_follower import (
     DESCRIPTION_KEY,
@@ -234,6 +235,9 @@ class OfflineStability:
         self._rigs[description_crc(rig)] = rig
         if changed:
             self._follower.take_rig(rig)
+            wanted = self._follower.lacks_hard_squeal() if self._decode is None else None
+            if wanted is not None:
+                self._follower.take_hard_squeal(wanted, hard_squeal(wanted))
             self._schedule(now)
 
     def take_block(self, in_force: InForce, now: int) -> None:
@@ -284,7 +288,10 @@ class OfflineStability:
         if rig is None or missing:
             self.unexplained += 1
             return
-        self._write(summary_of(rig, in_force, estimate, stamp), log_time)
+        hard = None
+        if STATE_KEY in causes:
+            hard = pending() if causes[STATE_KEY] == COMPUTING else hard_squeal(rig.parameters)
+        self._write(summary_of(rig, in_force, estimate, stamp, hard), log_time)
 
 
 def _remember(known: OrderedDict[str, Any], key: str, value: Any) -> None:

@@ -12,7 +12,7 @@ from squeal_rig.configuration.node_files import RCLPY_NAMES, ROS_KEY, node_of, p
 from squeal_rig.errors import ConfigurationError, DriverError, ParameterError
 from squeal_rig.estimation.calibration.problem import load_calibration
 from squeal_rig.estimation.calibration.targets import load_targets, looks_like_targets
-from squeal_rig.estimation.settings import FrictionSettings, SquealSettings
+from squeal_rig.estimation.settings import FrictionSettings, SquealSettings, StabilitySettings
 from squeal_rig.experiments.plan import load_plan
 from squeal_rig.instruments.driver import driver_class
 from squeal_rig.instruments.settings import PresetChoice, RigSettings
@@ -25,7 +25,7 @@ NODE_PARAMETERS: dict[str, tuple[type[Declared], ...]] = {
     "rig": (PresetChoice, RigParameters, RigSettings),
     "friction_estimator": (FrictionSettings,),
     "squeal_detector": (SquealSettings,),
-    "stability": (),
+    "stability": (StabilitySettings,),
     "recorder": (RecorderSettings,),
     "player": (PlayerSettings,),
 }

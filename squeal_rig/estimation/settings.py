@@ -49,3 +49,12 @@ class SquealSettings(Declared):
             raise ParameterError(
                 f"off_level = {self.off_level:g} dB re 1 um must not be above on_level = {self.on_level:g} dB re 1 um"
             )
+
+
+@dataclass(frozen=True)
+class StabilitySettings(Declared):
+    """Settings of the stability node."""
+
+    hard_squeal: bool = quantity(
+        True, "find zone, borders and smallest hit of every set point too, in a process beside the node"
+    )

@@ -20,6 +20,9 @@ class Rig(Protocol):
     def call(self, service: str) -> str:
         """Call `reset`, `impact` or `zero`; returns the rig's answer."""
 
+    def smallest_hit(self) -> tuple[float, float]:
+        """Smallest hit [N s] that starts squeal at the set point, and its direction [rad]."""
+
     def sampled_time(self) -> float:
         """Time sampled so far [s]."""
 
@@ -52,11 +55,19 @@ def run_plan(plan: Plan, rig: Rig, tell: Callable[[RunEvent], None]) -> None:
         values = ", ".join(f"{name} = {value}" for name, value in step.set.items())
         facts: dict[str, object] = {"step": number, "of": len(plan.steps), "title": step.title, "begin [s]": begin}
         facts |= {"set": values, "call": step.call, "wait [s]": step.wait}
+        if step.hit:
+            facts["share of the smallest hit"] = step.hit
         tell(RunEvent(STEP_BEGUN, facts))
         try:
             if step.set:
                 rig.set_parameters(step.set)
-            answer = rig.call(step.call) if step.call else ""
+            if step.hit:
+                smallest, direction = rig.smallest_hit()
+                facts |= {"smallest hit [N s]": smallest, "direction [rad]": direction}
+                rig.set_parameters({"impact_impulse": step.hit * smallest, "impact_direction": direction})
+                begin = max(begin, rig.sampled_time())
+            call = "impact" if step.hit else step.call
+            answer = rig.call(call) if call else ""
             rig.wait_until(begin + step.wait)
         except BaseException as error:
             tell(RunEvent(STEP_ENDED, {**facts, "end [s]": rig.sampled_time(), "outcome": str(error)}, failed=True))

@@ -12,23 +12,30 @@ from squeal_rig.errors import ConfigurationError, ParameterError
 from squeal_rig.model.parameters import RUN_TIME_CONCERNS, RigParameters
 
 CALLS = ("reset", "impact", "zero")
-_STEP_KEYS = ("note", "set", "call", "wait")
+_STEP_KEYS = ("note", "set", "call", "hit", "wait")
 _LONGEST_WAIT = 86400.0
+_LARGEST_HIT = 100.0
 
 
 @dataclass(frozen=True)
 class Step:
-    """One step: set parameters, call a service of the rig, then wait [s of sampled time]; each may be left out."""
+    """One step: set parameters, call a service of the rig, hit the pad, then wait [s of sampled time].
+
+    Each may be left out. `hit` is an impact as a share of the smallest one that starts squeal at the set point, in its
+    direction; 0 is none.
+    """
 
     note: str = ""
     set: Mapping[str, float | str] = field(default_factory=dict)
     call: str = ""
+    hit: float = 0.0
     wait: float = 0.0
 
     @property
     def title(self) -> str:
         """The step in words."""
-        return self.note or ", ".join([*(f"{name} = {value}" for name, value in self.set.items()), self.call or "wait"])
+        what = self.call or (f"{self.hit:g} of the smallest hit" if self.hit else "wait")
+        return self.note or ", ".join([*(f"{name} = {value}" for name, value in self.set.items()), what])
 
 
 @dataclass(frozen=True)
@@ -69,12 +76,16 @@ def _step(where: str, raw: object) -> Step:
     call, wait, changes = raw.get("call", ""), raw.get("wait", 0.0), raw.get("set", {})
     if call and call not in CALLS:
         raise ConfigurationError(f"{where}: call = {call!r} is not known: it must be one of {', '.join(CALLS)}")
-    if isinstance(wait, bool) or not isinstance(wait, int | float) or not 0.0 <= wait <= _LONGEST_WAIT:
-        raise ConfigurationError(f"{where}: wait = {wait!r} is out of bounds: it must be 0 to {_LONGEST_WAIT:g} s")
+    hit = raw.get("hit", 0.0)
+    for name, value, most, unit in (("wait", wait, _LONGEST_WAIT, " s"), ("hit", hit, _LARGEST_HIT, "")):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= most:
+            raise ConfigurationError(f"{where}: {name} = {value!r} is out of bounds: it must be 0 to {most:g}{unit}")
+    if hit and (call or changes):
+        raise ConfigurationError(f"{where}: a hit is a step of its own: what was set has to be in force before it")
     if not isinstance(changes, dict):
         raise ConfigurationError(f"{where}: set is a mapping of parameter names to values, got {changes!r}")
     try:
-        return Step(str(raw.get("note", "")), _changes(changes), call, float(wait))
+        return Step(str(raw.get("note", "")), _changes(changes), call, float(hit), float(wait))
     except ParameterError as error:
         raise ConfigurationError(f"{where}: {error}") from None
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from squeal_rig.model.motion.contact import ContactEvents, contact_events
     from squeal_rig.model.motion.energy import EnergyBalance, energy_balance
     from squeal_rig.model.motion.ensemble import Ensemble, simulate_many
-    from squeal_rig.model.motion.trajectory import Motion, Trajectory, displaced_state, simulate
+    from squeal_rig.model.motion.trajectory import Motion, Trajectory, displaced_state, simulate, simulate_blocks
     from squeal_rig.model.parameters import RigParameters, preset_names
 
 _HOMES = {
@@ -61,6 +61,7 @@ _HOMES = {
     "preset_names": "parameters",
     "safe_hit": "cycles.safe",
     "simulate": "motion.trajectory",
+    "simulate_blocks": "motion.trajectory",
     "simulate_many": "motion.ensemble",
     "smallest_hit": "cycles.hits",
     "squeal_cycle": "cycles.cycle",
@@ -103,6 +104,7 @@ __all__ = [
     "preset_names",
     "safe_hit",
     "simulate",
+    "simulate_blocks",
     "simulate_many",
     "smallest_hit",
     "squeal_cycle",

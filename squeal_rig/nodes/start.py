@@ -9,6 +9,8 @@ from __future__ import annotations
 import os
 import sys
 
+#: What is started in this way too, by the node `stability`.
+BESIDE = ("hard_squeal",)
 NODES = ("friction_estimator", "player", "recorder", "rig", "simulator", "squeal_detector", "stability")
 
 
@@ -30,7 +32,7 @@ def main() -> int:
     """Run the node that the arguments name."""
     session = sys.argv[1:2] == ["--session"]
     sys.argv = sys.argv[2 if session else 1 :]
-    if not sys.argv or sys.argv[0] not in NODES:
+    if not sys.argv or sys.argv[0] not in (*NODES, *BESIDE):
         sys.stderr.write(f"start.py: give one of {', '.join(NODES)}\n")
         return 2
     return start(sys.argv[0], session)

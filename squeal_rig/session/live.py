@@ -17,9 +17,12 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from squeal_rig.errors import ExperimentError, RecordingError
+from squeal_rig.estimation import hard_squeal
+from squeal_rig.estimation.stability_follower import DESCRIPTION_KEY, IN_FORCE, SET_POINT, text_crc
 from squeal_rig.experiments.engine import RunEvent
 from squeal_rig.graph import qos
 from squeal_rig.graph.conversions import ERROR, OK, diagnostics, status, status_number, status_values
@@ -33,6 +36,8 @@ _SERVICE_TIMEOUT = 10.0
 _STALL_TIMEOUT = 10.0
 # Nodes on other machines are mostly found within this time [s].
 _DISCOVERY = 0.5
+# A first smallest hit ever may have to be compiled.
+_HIT_TIMEOUT = 180.0
 _SPIN = 0.05
 _LISTENERS = "listeners to "  # of the rig's health
 
@@ -51,6 +56,9 @@ class LiveState:
     critical_stiffness: float = math.nan
     margin: float = math.nan
     unstable: bool | None = None
+    zone: str = ""
+    smallest_hit: float = math.nan
+    hit_direction: float = math.nan
     squealing: bool | None = None
     level: float = math.nan
     frequency: float = math.nan
@@ -75,6 +83,7 @@ class LiveGraph:
         self._samples = 0
         self._interval = math.nan
         self._next_seq: int | None = None
+        self._described = self._analysed = self._hard_squeal = ""
         self.state = LiveState()
         self.windows: list[Any] = []
         self.on_spin: Callable[[], None] = lambda: None
@@ -82,6 +91,7 @@ class LiveGraph:
         subscribe(PointCloud2, "daq/samples", self._on_daq, qos.BLOCKS, raw=True)
         subscribe(PointCloud2, "friction/windows", self._on_window, qos.EVENTS, raw=True)
         subscribe(DiagnosticArray, "stability/summary", self._on_stability, qos.LATCHED)
+        subscribe(String, "rig/description", self._on_description, qos.LATCHED)
         subscribe(DiagnosticArray, "squeal/state", self._on_squeal, qos.EVENTS)
         subscribe(DiagnosticArray, "/diagnostics", self._on_health, qos.EVENTS)
         self._events = self._node.create_publisher(DiagnosticArray, "run/events", qos.RUN_EVENTS)
@@ -155,6 +165,22 @@ class LiveGraph:
             raise ExperimentError(f"the rig refused {service}: {response.message}")
         return str(response.message)
 
+    def smallest_hit(self) -> tuple[float, float]:
+        """Smallest hit [N s] that starts squeal at the rig's set point, and its direction [rad], as `stability` has it.
+
+        Raises:
+            ExperimentError: there is none, or it does not come in time.
+        """
+
+        def known() -> bool:
+            return self._analysed == self._described and self._hard_squeal not in ("", hard_squeal.COMPUTING)
+
+        self.wait_for(known, "the smallest hit of the set point", _HIT_TIMEOUT)
+        hit, direction = self.state.smallest_hit, self.state.hit_direction
+        if not hit > 0.0:
+            raise ExperimentError(f"there is no smallest hit here: the zone of the set point is {self.state.zone!r}")
+        return hit, direction
+
     def tell(self, event: RunEvent) -> None:
         """Publish what has happened, with the number of the sample that comes next."""
         coming = "none" if self._next_seq is None else self._next_seq % 2**32
@@ -215,13 +241,26 @@ class LiveGraph:
     def _on_stability(self, message: DiagnosticArray) -> None:
         if not message.status:
             return
-        # The last but one of set point, in force, estimated: what is in force, once samples have come.
-        found = message.status[min(1, len(message.status) - 1)]
+        statuses = {found.name: found for found in message.status}
+        # What is in force, once samples have come.
+        found = statuses.get(IN_FORCE, message.status[0])
         self.state.unstable = found.message == "unstable"
         self.state.mu_set = status_number(found, "mu")
         self.state.pad_stiffness = status_number(found, "k [N/m]")
         self.state.critical_stiffness = status_number(found, "k_cr [N/m]")
         self.state.margin = status_number(found, "margin")
+        self._analysed = status_values(statuses[SET_POINT]).get(DESCRIPTION_KEY, "") if SET_POINT in statuses else ""
+        hard = statuses.get(hard_squeal.NAME)
+        values = {} if hard is None else status_values(hard)
+        self._hard_squeal = values.get(hard_squeal.STATE_KEY, "")
+        self.state.zone = values.get(hard_squeal.ZONE, self._hard_squeal)
+        self.state.smallest_hit, self.state.hit_direction = (
+            math.nan if hard is None else status_number(hard, key)
+            for key in (hard_squeal.SMALLEST_HIT, hard_squeal.HIT_DIRECTION)
+        )
+
+    def _on_description(self, message: String) -> None:
+        self._described = text_crc(message.data)
 
     def _on_squeal(self, message: DiagnosticArray) -> None:
         for found in message.status[:1]:

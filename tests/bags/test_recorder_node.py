@@ -259,7 +259,11 @@ def test_readers_of_others_agree_message_by_message(processes, observer, health,
     from rosbags.typesys import Stores, get_typestore
 
     recorder = processes.node("recorder", *parameters(directory=tmp_path / "run"))
-    recording(observer, health, 1500)  # three seconds: the load changes its parameter every second
+    recording(observer, health)
+    events = observer.follow("/parameter_events")
+    # The load changes its parameter every second: the second change from now on is after whatever was joined late.
+    observer.wait_for(lambda: len(events) > 1, "two changes of a parameter")
+    recording(observer, health, 1500)
     assert recorder.end()[0] == 0
     bag = Bag(tmp_path / "run")
     ours = sorted((m.topic, m.log_time, m.data) for m in bag.messages())

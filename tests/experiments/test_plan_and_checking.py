@@ -29,6 +29,10 @@ class Notebook:
         self.log.append(("call", service, self.time))
         return "done"
 
+    def smallest_hit(self) -> tuple[float, float]:
+        self.time += 0.5
+        return 0.02, -1.2
+
     def sampled_time(self) -> float:
         return self.time
 
@@ -48,6 +52,17 @@ def test_waits_are_counted_from_the_step_before_and_do_not_drift(tmp_path):
     assert [event.what for event in told] == ["step begun", "step ended"] * 3
     assert rig.log == [("set", {"preload": 100.0}, 5.0), ("call", "impact", 6.013)]
     assert ends[1]["answer"] == "done"
+
+
+def test_a_hit_is_a_share_of_the_smallest_one_and_its_wait_begins_with_it(tmp_path):
+    path = tmp_path / "plan.yaml"
+    path.write_text("steps:\n- {hit: 0.5, wait: 2.0}\n- {wait: 1.0}\n")
+    rig, told = Notebook(), []
+    run_plan(load_plan(path), rig, told.append)
+    assert rig.log == [("set", {"impact_impulse": 0.01, "impact_direction": -1.2}, 5.5), ("call", "impact", 5.5)]
+    facts = told[1].facts
+    assert (facts["share of the smallest hit"], facts["smallest hit [N s]"], facts["end [s]"]) == (0.5, 0.02, 7.5)
+    assert told[0].facts["title"] == "0.5 of the smallest hit"
 
 
 def test_a_refusal_ends_the_plan(tmp_path):
@@ -73,6 +88,8 @@ def test_a_refusal_ends_the_plan(tmp_path):
         ("steps: [{wait: .nan}]", "step 1: wait = nan is out of bounds"),
         ("steps: [{wait: soon}]", "step 1: wait = 'soon' is out of bounds"),
         ("steps: [{wait: 1}, {call: dance}]", "step 2: call = 'dance' is not known: it must be one of reset"),
+        ("steps: [{hit: -1}]", "step 1: hit = -1 is out of bounds: it must be 0 to 100"),
+        ("steps: [{hit: 0.9, set: {preload: 60}}]", "step 1: a hit is a step of its own"),
         ("steps: [{set: {preload: -1}}]", "step 1: preload = -1 N is out of bounds: it must be 0 to 2000 N"),
         ("steps: [{set: {preloud: 1}}]", "unknown parameter 'preloud': did you mean 'preload'?"),
         ("steps: [{set: {mass: 1}}]", "mass is a constant of the machine"),

@@ -13,10 +13,15 @@ def status_of(message, name):
     return None
 
 
+def healths_of(messages, name):
+    """Every health of a node among messages of `/diagnostics`, the newest first.
+
+    What is told of one second only is not to be looked for in the newest: two may have come since the last look.
+    """
+    found = (status_of(message, name) for message in reversed(messages))
+    return (health for health in found if health is not None)
+
+
 def health_of(messages, name):
     """The newest health of a node among messages of `/diagnostics`, or None."""
-    for message in reversed(messages):
-        found = status_of(message, name)
-        if found is not None:
-            return found
-    return None
+    return next(healths_of(messages, name), None)

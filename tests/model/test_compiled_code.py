@@ -75,6 +75,40 @@ def test_a_second_process_loads_compiled_code_and_does_not_compile(tmp_path, eng
     assert second == first
 
 
+AFTER_WARM_UP = (
+    """
+from squeal_rig.instruments.warm_up import warm_up
+warm_up()
+"""
+    + LIST_KERNELS
+    + """
+def compiled():
+    return sum(kernel.stats.cache_hits.total() + kernel.stats.cache_misses.total() for kernel in kernels.values())
+before = compiled()
+import numpy as np
+from squeal_rig.model import *
+p = RigParameters(preload=300.0, damping_x=20.0, damping_y=20.0)
+start = displaced_state(p, 30.0)
+for changes in ({}, {"friction_direction": "slip"}, {"friction_speed": "slip"}):
+    q = p.replace(**changes)
+    run = simulate(q, 1e-3, initial_state=start)
+    run.t, run.tangential_force
+    list(simulate_blocks(q, 1e-3))
+    energy_balance(q, 1e-3), contact_events(q, 1e-3, initial_state=start)
+    simulate_many([q], 1e-3), simulate_many(q, 1e-3, traces=True, settle=1e-3, mass=[10.0, 12.0])
+    stability_map(q, k1=np.array([1e7, 2e7])), stability_report(q), eigenvalues(q, linear=True)
+print(before, compiled() - before)
+"""
+)
+
+
+@pytest.mark.slow
+def test_after_a_warm_up_nothing_is_left_to_compile():
+    before, more = map(int, python(AFTER_WARM_UP))
+    assert before > 20
+    assert more == 0
+
+
 def test_code_compiled_from_an_older_right_hand_side_is_not_used(tmp_path):
     """numba looks for changes in a kernel's own file only; the engine is in another one than the physics."""
     for folder in ("squeal_rig", "config"):

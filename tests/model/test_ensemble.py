@@ -91,6 +91,59 @@ def test_a_run_without_equilibrium_says_so_and_leaves_the_others_alone():
     assert rows["status"][0] == 0
 
 
+def test_one_set_and_arrays_give_the_bits_of_a_list():
+    preloads, stiffnesses = np.array([[50.0], [150.0], [300.0]]), np.linspace(2e7, 1e8, 7)
+    found = simulate_many(
+        SQUEALING, 0.02, initial_compressions=3.0, traces=True, preload=preloads, pad_stiffness=stiffnesses
+    )
+    expected = simulate_many(grid(), 0.02, initial_compressions=3.0, traces=True)
+    assert found.summaries.shape == (3, 7)
+    assert found.traces.shape == (3, 7, 1024, 6)
+    assert found.summaries.tobytes() == expected.summaries.tobytes()
+    assert found.traces.tobytes() == expected.traces.tobytes()
+
+
+def test_the_start_alone_can_vary_and_switches_are_those_of_the_one_set():
+    slips = SQUEALING.replace(friction_direction="slip", belt_speed=0.05)
+    starts = np.array([0.5, 3.0])
+    rows = simulate_many(slips, 0.02, initial_compressions=starts).summaries
+    for compressions, row in zip(starts, rows, strict=True):
+        run = simulate(slips, 1023 / RATE, initial_state=displaced_state(slips, compressions))
+        assert row["peak_y"] == pytest.approx(np.max(np.abs(run.y - equilibrium(slips)[1])), rel=1e-9)
+    assert simulate_many(slips, 0.02).summaries.shape == ()
+
+
+@pytest.mark.parametrize("friction", [{"friction_direction": "slip"}, {"friction_speed": "slip", "mu_speed": 0.01}])
+def test_summaries_with_friction_that_sees_the_slip_do_not_depend_on_the_threads(friction):
+    p = SQUEALING.replace(belt_speed=0.1, mu0=0.3, **friction)
+    preloads = np.linspace(50.0, 300.0, 20)
+    one, two = (
+        simulate_many(p, 0.02, initial_compressions=3.0, threads=threads, preload=preloads).summaries
+        for threads in (1, 2)
+    )
+    assert one.tobytes() == two.tobytes()
+    assert (one["status"] == 0).all()
+
+
+@pytest.mark.parametrize(
+    ("varied", "sentence"),
+    [
+        ({"preload": [1.0, -1.0]}, "preload"),
+        ({"friction_speed": ["slip"]}, "'friction_speed' is not a parameter of many runs"),
+        ({"preload": [1.0, 2.0], "mass": [1.0, 2.0, 3.0]}, "do not broadcast to one grid"),
+        ({"preload": [1.0, 2.0], "initial_compressions": [1.0, 2.0, 3.0]}, "does not broadcast with what varies"),
+    ],
+)
+def test_what_cannot_vary_is_refused_with_a_sentence(varied, sentence):
+    with pytest.raises(ParameterError, match=sentence):
+        simulate_many(SQUEALING, 0.01, **varied)
+
+
+def test_nothing_varies_over_a_list():
+    with pytest.raises(ParameterError, match="'preload' cannot vary over a list of parameters"):
+        simulate_many([SQUEALING], 0.01, preload=[1.0])
+
+
 def test_no_runs_give_no_summaries():
     assert simulate_many([], 0.1).summaries.shape == (0,)
 

@@ -198,6 +198,65 @@ def test_friction_that_sees_the_slip_is_followed_through_its_reversals(friction)
     assert abs(balance.imbalance) <= 1e-7 * balance.largest
 
 
+FALLING = {"mu0": 0.82, "mu_speed": -0.02, "mu_preload": 0.0, "mu_speed_preload": 0.0}
+SLIPPING = [
+    pytest.param({"friction_direction": "slip"}, 0.02, id="direction"),
+    pytest.param({"friction_speed": "slip", **FALLING}, 0.02, id="speed"),
+    pytest.param({"friction_direction": "slip", "friction_speed": "slip", **FALLING}, 0.05, id="both"),
+    # The pad overtakes the belt: tanh bends, mu has its kink.
+    pytest.param({"friction_direction": "slip", "belt_speed": 0.05, "mu0": 0.15}, 0.01, id="direction, reversing"),
+    pytest.param({"friction_direction": "slip", "belt_speed": 0.05, "regularization_speed": 1e-3}, 0.005, id="sharp"),
+    pytest.param({"friction_speed": "slip", "belt_speed": 0.02, "mu0": 0.15, "mu_speed": 0.3}, 0.01, id="kink"),
+]
+
+
+@pytest.mark.parametrize(("friction", "duration"), SLIPPING)
+def test_friction_that_sees_the_slip_agrees_with_dop853(friction, duration):
+    p = SQUEALING.replace(**friction)
+    start = displaced_state(p, 3.0)
+    run = simulate(p, duration, initial_state=start)
+    expected, events = reference(p, start, run.t)
+    # As with constant friction.
+    assert largest_error(states(run), expected) < 1e-9
+    found = contact_events(p, len(run.t) / RATE, initial_state=start)
+    assert len(events) > 5
+    np.testing.assert_allclose(found.time[: len(events)], events, atol=1e-12)
+
+
+@pytest.mark.parametrize(("friction", "_"), SLIPPING)
+def test_energy_balances_with_friction_that_sees_the_slip(friction, _):
+    balance = energy_balance(SQUEALING.replace(**friction), 0.5, initial_state=displaced_state(SQUEALING, 3.0))
+    assert balance.separations > 100
+    assert abs(balance.imbalance) <= 1e-8 * balance.largest
+
+
+@pytest.mark.parametrize(("friction", "_"), SLIPPING)
+def test_blocks_give_the_bits_of_one_run_with_friction_that_sees_the_slip(friction, _):
+    assert_blocks_give_the_bits_of_one_run(SQUEALING.replace(**friction), displaced_state(SQUEALING, 3.0))
+
+
+def test_blocks_give_the_bits_of_one_run_beyond_the_near_range_and_back():
+    start = displaced_state(SQUEALING, 25.0)
+    whole = assert_blocks_give_the_bits_of_one_run(SQUEALING, start)
+    assert np.max(np.abs(whole[:, :2])) > 1e-3
+    damped = SQUEALING.replace(preload=20.0, pad_stiffness=2e7, damping_x=1e4, damping_y=1e4)
+    whole = assert_blocks_give_the_bits_of_one_run(damped, np.array([0.0, -4e-4, 0.0, 0.0]))
+    # From beyond the near range, 0.24 mm here, into it.
+    assert np.max(np.abs(whole[:100, :2])) > 2.5e-4
+    assert np.max(np.abs(whole[-100:, :2])) < 5e-5
+
+
+def assert_blocks_give_the_bits_of_one_run(p, start):
+    whole = np.empty((2000, 6))
+    Motion(p, RATE, start).advance(whole)
+    for size in (1, 7, 128):
+        motion, parts = Motion(p, RATE, start), np.empty((2000, 6))
+        for first in range(0, 2000, size):
+            motion.advance(parts[first : first + size])
+        np.testing.assert_array_equal(parts, whole)
+    return whole
+
+
 def test_far_motions_agree_with_dop853():
     p = SQUEALING.replace(damping_x=0.0, damping_y=0.0)
     start = displaced_state(p, 25.0)

@@ -15,6 +15,7 @@ from squeal_rig.model import (
     equilibrium,
     friction_coefficient,
     simulate,
+    simulate_blocks,
     squeal_frequency,
 )
 from squeal_rig.model.core.layout import SAMPLE_SIZE
@@ -40,6 +41,43 @@ def test_a_motion_advanced_in_blocks_is_bit_for_bit_one_call_of_simulate(blocks,
         parts.append(block)
     assert len(run.t) == sum(blocks) == 2048
     np.testing.assert_array_equal(np.concatenate(parts), columns(run))
+
+
+def test_blocks_of_a_run_follow_each_other_and_are_bit_for_bit_one_call_of_simulate():
+    p = SQUEALING.replace(belt_speed=0.02)
+    run = simulate(p, 0.02)
+    blocks = list(simulate_blocks(p, 0.02, block_size=100))
+    assert [len(block.x) for block in blocks] == [100] * 10 + [25]
+    np.testing.assert_array_equal(np.concatenate([columns(block) for block in blocks]), columns(run))
+    np.testing.assert_array_equal(np.concatenate([block.t for block in blocks]), run.t)
+    # A block tells of its own samples: the motion grows, the pad overtakes the belt later on.
+    assert blocks[0].warnings == ()
+    assert run.warnings[0] in [sentence for block in blocks for sentence in block.warnings]
+
+
+def test_a_run_longer_than_memory_can_be_iterated():
+    blocks = simulate_blocks(SQUEALING, 1e7, block_size=10)
+    assert next(blocks).t[-1] == 9 / 51200.0
+    assert next(blocks).t[0] == 10 / 51200.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ({"block_size": 0}, "block_size = 0 is out of bounds"),
+        ({"duration": -1.0}, "duration = -1.0 s is out of bounds"),
+        ({"duration": 1e300}, "samples is out of bounds: at most"),
+    ],
+)
+def test_a_bad_argument_of_simulate_blocks_is_refused_before_the_first_block(arguments, sentence):
+    with pytest.raises(ParameterError, match=sentence):
+        simulate_blocks(SQUEALING, **{"duration": 0.01, **arguments})
+
+
+def test_a_motion_fills_blocks_that_are_not_contiguous():
+    start, wide = displaced_state(SQUEALING, 0.4), np.zeros((100, 2 * SAMPLE_SIZE))
+    Motion(SQUEALING, 51200.0, start).advance(wide[:, ::2])
+    np.testing.assert_array_equal(wide[:, ::2], columns(simulate(SQUEALING, 99 / 51200.0, 51200.0, start)))
 
 
 def test_a_motion_resumed_from_its_state_goes_on_bit_for_bit():

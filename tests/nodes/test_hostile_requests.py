@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from tests.graph.processes import parameters
-from tests.graph.statuses import health_of
+from tests.graph.statuses import health_of, healths_of
 
 pytest.importorskip("rclpy")
 
@@ -42,8 +42,7 @@ def told(observer, nodes, name, key, level, again=lambda: None):
     def seen():
         again()
         assert started[name].running, started[name].errors
-        state = health_of(health, name)
-        return state and state[0] == level and int(state[2][key]) > 0 and state
+        return next((state for state in healths_of(health, name) if state[0] == level and int(state[2][key]) > 0), None)
 
     return observer.wait_for(seen, f"{key} of {name} at level {level}")
 

@@ -12,7 +12,7 @@ from squeal_rig.recording import BagWriter
 from tests.made_bag import write_squeal
 from tests.messages import schema_of, string_cdr
 
-_COMMANDS = ("run", "demo", "analyse", "cycles", "map", "check", "info")
+_COMMANDS = ("run", "demo", "analyse", "cycles", "map", "check", "info", "warm-up")
 
 
 @pytest.fixture(scope="module")
@@ -116,6 +116,14 @@ def test_analyse_writes_a_table_and_a_picture(command_line, bag, tmp_path):
     assert "Operating points" in output
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert not (bag / "report.png").exists()
+
+
+@pytest.mark.slow
+def test_warm_up_says_how_long_it_took(in_process):
+    # What it compiles, tests/model/test_compiled_code.py tells.
+    code, output, errors = in_process("warm-up")
+    assert (code, errors) == (0, "")
+    assert output.startswith("the model is compiled: ")
 
 
 def test_unknown_commands_and_options_are_refused_without_a_traceback(in_process):

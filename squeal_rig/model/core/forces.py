@@ -48,7 +48,9 @@ def friction_ratio(vx: float, q: Vector) -> float:
     if q[SLIP_SPEED] > 0.0:
         mu = q[MU_AT_ZERO] + q[MU_SLOPE] * abs(slip)
     if q[SLIP_DIRECTION] > 0.0:
-        mu *= math.tanh(slip / q[V_REG])
+        share = slip / q[V_REG]
+        # From 22 on tanh is 1 in every digit.
+        mu *= math.copysign(1.0, share) if abs(share) >= 22.0 else math.tanh(share)
     return mu
 
 

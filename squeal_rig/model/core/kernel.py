@@ -32,9 +32,17 @@ def fused_kernel(function: F) -> F:
     return _compiled(function, **_FUSED)
 
 
+def reduction_kernel(function: F) -> F:
+    """As `fused_kernel`, for sums and extremes over finite numbers: they may be regrouped, so that they run in lanes.
+
+    The grouping is the compiler's, so the last bits may differ between kinds of processor, but never between calls.
+    """
+    return _compiled(function, **{**_FUSED, "fastmath": {"contract", "reassoc", "nnan", "nsz"}})
+
+
 def inlined_kernel(function: F) -> F:
     """As `fused_kernel`, and made part of its callers' code."""
-    return _compiled(function, **_FUSED, forceinline=True)
+    return _compiled(function, **_FUSED, inline="always")
 
 
 def _digest_of_the_model() -> str:
@@ -50,7 +58,7 @@ def _compiled(function: F, **more: object) -> F:
     # Of cached code numba checks the age of the kernel's own file only, yet kernels and constants of other files are
     # compiled into it. With the digest in its name, code made from other sources is never taken.
     function.__qualname__ += f"-{_DIGEST}"
-    options: dict[str, object] = {"nogil": True, "error_model": "numpy", **more}
+    options: dict[str, object] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, **more}
     try:
         compiled = numba.njit(cache=True, **options)(function)
     except RuntimeError:  # neither beside the source nor in the user's cache can be written: compiled at each start

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from squeal_rig.configuration.declared import checked, declarations
+from squeal_rig.errors import ParameterError
 from squeal_rig.model.core.law import friction_law, friction_law_slope
 from squeal_rig.model.parameters import RigParameters
 
@@ -25,6 +27,43 @@ MU, MU_AT_ZERO, MU_SLOPE, SPEED, V_REG = range(16, 21)  # the friction law at V 
 SLIP_DIRECTION, SLIP_SPEED = 21, 22  # 1.0 where the switch is on
 COS_1, SIN_1, COS_2, SIN_2, SIGMA = range(23, 28)
 PACKED_SIZE = 28
+
+
+def checked_arrays(
+    given: Mapping[str, ArrayLike], fields: Sequence[str], purpose: str
+) -> tuple[dict[str, Vector], tuple[int, ...]]:
+    """What varies over many rigs as arrays by field name, every value within its declared bounds, and their one shape.
+
+    Args:
+        given: arrays by name; `pad_stiffness` stands for k1 and k2 at once.
+        fields: the numeric fields of `RigParameters` that may vary.
+        purpose: what they are parameters of, for the sentence.
+
+    Raises:
+        ParameterError: an unknown field, a value out of its bounds, or shapes that do not broadcast.
+    """
+    known = declarations(RigParameters)
+    arrays: dict[str, Vector] = {}
+    for name, values in given.items():
+        names = ("k1", "k2") if name == "pad_stiffness" else (name,)
+        if names[0] not in fields:
+            raise ParameterError(
+                f"{name!r} is not a parameter of {purpose}: those are {', '.join((*fields, 'pad_stiffness'))}"
+            )
+        try:
+            array: NDArray[np.float64] = np.asarray(values, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ParameterError(f"{name} = {values!r} is not an array of numbers") from None
+        bounds = known[names[0]]
+        wrong = ~((array >= bounds.lower) & (array <= bounds.upper))
+        if wrong.any():
+            checked(bounds, float(array[wrong].flat[0]))
+        arrays.update(dict.fromkeys(names, array))
+    try:
+        return arrays, np.broadcast_shapes(*(array.shape for array in arrays.values()))
+    except ValueError:
+        shapes = ", ".join(f"{name} {array.shape}" for name, array in arrays.items())
+        raise ParameterError(f"these shapes do not broadcast to one grid: {shapes}") from None
 
 
 def pack(p: RigParameters | Mapping[str, Any]) -> Vector:

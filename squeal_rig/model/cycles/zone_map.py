@@ -21,12 +21,12 @@ from numpy.typing import ArrayLike, NDArray
 from squeal_rig.errors import ModelError, ParameterError
 from squeal_rig.model.core.kernel import kernel
 from squeal_rig.model.core.law import COEFFICIENTS, friction_law
-from squeal_rig.model.core.layout import L_PRE, PACKED_SIZE, Vector, packed_columns
+from squeal_rig.model.core.layout import L_PRE, PACKED_SIZE, Vector, checked_arrays, packed_columns
 from squeal_rig.model.core.statics import FOUND, rest_position
 from squeal_rig.model.cycles.border import HardBranch, hard_branch
 from squeal_rig.model.cycles.hits import smallest_hit
 from squeal_rig.model.cycles.path import Path, refuse_what_has_no_cycles
-from squeal_rig.model.linear.maps import checked_grids
+from squeal_rig.model.linear.maps import FIELDS
 from squeal_rig.model.parameters import RigParameters
 
 #: Codes of a map of zones.
@@ -90,8 +90,7 @@ def zone_map(p: RigParameters, hits: bool = False, threads: int | None = None, *
         ParameterError: a field, a value or the shapes are wrong.
     """
     refuse_what_has_no_cycles(p)
-    arrays = checked_grids(grids)
-    shape = np.broadcast_shapes(*(values.shape for values in arrays.values()))
+    arrays, shape = checked_arrays(grids, FIELDS, "a zone map")
     spread = {name: np.broadcast_to(values, shape).ravel() for name, values in arrays.items()}
     points = math.prod(shape)
     values: dict[str, Any] = {**p.as_mapping(), **spread}

@@ -18,10 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from squeal_rig.configuration.declared import checked, declarations
-from squeal_rig.errors import ParameterError
+from squeal_rig.configuration.declared import declarations
 from squeal_rig.model.core.kernel import kernel
-from squeal_rig.model.core.layout import K1, K2, PACKED_SIZE, Vector, packed_columns
+from squeal_rig.model.core.layout import K1, K2, PACKED_SIZE, Vector, checked_arrays, packed_columns
 from squeal_rig.model.linear.bounds import bound_at_rest, fill_linear_roots, fill_rest_roots, stability_bounds
 from squeal_rig.model.linear.roots import Roots, leading_root
 from squeal_rig.model.parameters import RigParameters
@@ -76,7 +75,7 @@ def stability_map(
         ParameterError: a field that is unknown or has no part in the linear model, a value out of its bounds, or
             shapes that do not broadcast.
     """
-    arrays = checked_grids(grids)
+    arrays, _ = checked_arrays(grids, FIELDS, "a stability map")
     return map_points({**p.as_mapping(), **arrays}, bands, eigenvalues, threads)
 
 
@@ -150,34 +149,3 @@ def _fill_points(
                 out[2, i], out[3, i] = stability_bounds(q, roots)
             if out[2, i] > 0.0:
                 out[4, i] = (out[2, i] - 0.5 * (q[K1] + q[K2])) / out[2, i]
-
-
-def checked_grids(grids: Mapping[str, ArrayLike]) -> dict[str, Vector]:
-    """The grids as arrays by field name, every value within its declared bounds, their shapes such that they broadcast.
-
-    Raises:
-        ParameterError: as `stability_map`.
-    """
-    known = declarations(RigParameters)
-    arrays: dict[str, Vector] = {}
-    for name, given in grids.items():
-        names = ("k1", "k2") if name == "pad_stiffness" else (name,)
-        if names[0] not in FIELDS:
-            raise ParameterError(
-                f"{name!r} is not a parameter of a stability map: those are {', '.join((*FIELDS, 'pad_stiffness'))}"
-            )
-        try:
-            array: NDArray[np.float64] = np.asarray(given, dtype=np.float64)
-        except (TypeError, ValueError):
-            raise ParameterError(f"{name} = {given!r} is not an array of numbers") from None
-        bounds = known[names[0]]
-        wrong = ~((array >= bounds.lower) & (array <= bounds.upper))
-        if wrong.any():
-            checked(bounds, float(array[wrong].flat[0]))
-        arrays.update(dict.fromkeys(names, array))
-    try:
-        np.broadcast_shapes(*(values.shape for values in arrays.values()))
-    except ValueError:
-        shapes = ", ".join(f"{name} {values.shape}" for name, values in arrays.items())
-        raise ParameterError(f"these shapes do not broadcast to one grid: {shapes}") from None
-    return arrays

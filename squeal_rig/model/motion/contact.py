@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from squeal_rig.errors import ModelError
 from squeal_rig.model.core.layout import SAMPLE_SIZE, Vector, pack
-from squeal_rig.model.motion import exact
-from squeal_rig.model.motion.propagator import propagators, substeps_needed
+from squeal_rig.model.motion import exact, stepping
+from squeal_rig.model.motion.propagator import make_propagators, substeps_needed
 from squeal_rig.model.motion.trajectory import checked_state, displaced_state, refuse_unless_positive
 from squeal_rig.model.parameters import RigParameters
 
@@ -53,13 +53,13 @@ def contact_events(
     q, flow, w = pack(p), exact.empty_flow(), exact.workspace()
     interval = 1.0 / sample_rate
     substeps = substeps_needed(q, interval, interval)
-    propagators(q, interval / substeps, flow)
+    make_propagators(q, interval / substeps, flow)
     tally, room, block = np.zeros(exact.TALLY_SIZE), np.empty((_ROOM, 2)), np.empty((_BLOCK, SAMPLE_SIZE))
     found = []
     samples = math.ceil(duration * sample_rate * (1.0 - 1e-12))
     for first in range(0, samples, _BLOCK):
         part = block[: samples - first]
-        ended, filled = exact.advance(state, q, flow, substeps, w, tally, room, part)
+        ended, filled = stepping.advance(state, q, flow, substeps, w, tally, room, part)
         exact.refuse_unless_done(ended, filled * interval)
         count = int(tally[exact.EVENTS])
         if count > _ROOM:

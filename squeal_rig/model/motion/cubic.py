@@ -51,41 +51,49 @@ def multiply(a: Vector, b: Vector, out: Vector) -> None:
 @fused_kernel
 def multiply_linear(a: Vector, b: Vector, out: Vector) -> None:
     """As `multiply`, of a's constant and linear part only."""
-    out[:TERMS] = 0.0
+    for t in range(TERMS):
+        out[t] = 0.0
+    add_product_linear(a, b, out)
+
+
+@fused_kernel
+def add_product_linear(a: Vector, b: Vector, out: Vector) -> None:
+    """As `multiply_linear`, onto what is there."""
     for n in range(_LINEAR_PRODUCTS.shape[0]):
         out[_LINEAR_PRODUCTS[n, 2]] += a[_LINEAR_PRODUCTS[n, 0]] * b[_LINEAR_PRODUCTS[n, 1]]
 
 
 @fused_kernel
-def compose(outer: Vector, inner: Vector, out: Vector, room: Vector) -> None:
-    """Put outer(inner(z)) into `out`; all (4, 35), and `room` (2, 35).
+def monomials(inner: Vector, out: Vector) -> None:
+    """Put what each monomial becomes with inner(z), (4, 35), for its variables into `out` (35, 35).
 
-    In the terms of degree 3 of `outer` only the linear part of `inner` is taken: where both are near a linear map, what
-    is left out is as small as the terms of degree 4.
+    In monomials of degree 3 only the linear part of `inner` is taken: where both it and the polynomials that they are
+    put into are near a linear map, what is left out is as small as the terms of degree 4.
     """
-    for i in range(4):
-        for t in range(TERMS):
-            value = outer[i, 0] if t == 0 else 0.0
-            for j in range(4):
-                value += outer[i, 1 + j] * inner[j, t]
-            out[i, t] = value
+    for t in range(TERMS):
+        out[0, t] = 1.0 if t == 0 else 0.0
+        for j in range(4):
+            out[1 + j, t] = inner[j, t]
     square, cube = 5, 15
     for j in range(4):
         for k in range(j, 4):
-            multiply(inner[j], inner[k], room[0])
-            _add(outer, square, room[0], out)
-            square += 1
+            multiply(inner[j], inner[k], out[square])
             for n in range(k, 4):
-                multiply_linear(inner[n], room[0], room[1])
-                _add(outer, cube, room[1], out)
+                multiply_linear(inner[n], out[square], out[cube])
                 cube += 1
+            square += 1
 
 
 @fused_kernel
-def _add(outer: Vector, term: int, part: Vector, out: Vector) -> None:
+def substitute(outer: Vector, inner: Vector, out: Vector) -> None:
+    """Put four polynomials `outer` (4, 35), with the `monomials` of others for the variables, into `out` (4, 35)."""
     for i in range(4):
         for t in range(TERMS):
-            out[i, t] += outer[i, term] * part[t]
+            out[i, t] = 0.0
+        for n in range(TERMS):
+            factor = outer[i, n]
+            for t in range(TERMS):
+                out[i, t] += factor * inner[n, t]
 
 
 @inlined_kernel

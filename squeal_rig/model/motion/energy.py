@@ -26,10 +26,11 @@ from squeal_rig.model.core.layout import (
     Vector,
     pack,
 )
-from squeal_rig.model.motion import exact
-from squeal_rig.model.motion.exact import MAX_PIECES, follow_piece, next_piece
-from squeal_rig.model.motion.propagator import propagators, substeps_needed
+from squeal_rig.model.motion import exact, stepping
+from squeal_rig.model.motion.exact import MAX_PIECES
+from squeal_rig.model.motion.propagator import make_propagators, substeps_needed
 from squeal_rig.model.motion.series import evaluate
+from squeal_rig.model.motion.stepping import follow_piece, next_piece
 from squeal_rig.model.motion.trajectory import checked_state, displaced_state, refuse_unless_positive
 from squeal_rig.model.parameters import RigParameters
 
@@ -120,7 +121,7 @@ def energy_balance(
     q, flow, w = pack(p), exact.empty_flow(), exact.workspace()
     interval = 1.0 / sample_rate
     substeps = substeps_needed(q, interval, interval)
-    propagators(q, interval / substeps, flow)
+    make_propagators(q, interval / substeps, flow)
     state = displaced_state(p, 0.1) if initial_state is None else checked_state(initial_state)
     start = state.copy()
     tally, events, sums = np.zeros(exact.TALLY_SIZE), np.empty((0, 2)), np.zeros(3)
@@ -128,7 +129,7 @@ def energy_balance(
     samples = math.ceil(duration * sample_rate * (1.0 - 1e-12))
     for first in range(0, samples, _BLOCK):
         part = block[: samples - first]
-        ended, filled = exact.advance(state, q, flow, substeps, w, tally, events, part)
+        ended, filled = stepping.advance(state, q, flow, substeps, w, tally, events, part)
         exact.refuse_unless_done(ended, filled * interval)
         followed = _work(part, q, flow, interval, w, sums)
         exact.refuse_unless_done(exact.DONE if followed == len(part) else exact.STUCK, followed * interval)

@@ -6,24 +6,28 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from squeal_rig.configuration.declared import declarations
 from squeal_rig.errors import ParameterError
-from squeal_rig.model.core.kernel import kernel
-from squeal_rig.model.core.layout import L_PRE, PACKED_SIZE, SAMPLE_SIZE, Vector, pack
+from squeal_rig.model.core.kernel import kernel, reduction_kernel
+from squeal_rig.model.core.layout import L_PRE, PACKED_SIZE, SAMPLE_SIZE, Vector, checked_arrays, pack
 from squeal_rig.model.core.statics import FOUND, rest_position
-from squeal_rig.model.motion.exact import CONTACT_TIME, DONE, SEPARATIONS, TALLY_SIZE, advance
+from squeal_rig.model.motion.exact import CONTACT_TIME, DONE, SEPARATIONS, TALLY_SIZE
 from squeal_rig.model.motion.propagator import FLOW_SIZE, propagators, substeps_needed
 from squeal_rig.model.motion.series import MAX_ORDER, ROWS
+from squeal_rig.model.motion.stepping import advance_any
 from squeal_rig.model.motion.trajectory import refuse_unless_positive
 from squeal_rig.model.parameters import RigParameters
 
+#: Parameters that may vary: the numeric ones.
+FIELDS = tuple(name for name, declaration in declarations(RigParameters).items() if declaration.kind is float)
 #: What `status` of a run means; above 0 the run has no numbers (nan).
 STATUS = (
     "done",
@@ -53,8 +57,8 @@ _RUNS_PER_TASK = 8
 
 @dataclass(frozen=True)
 class Ensemble:
-    """Result of `simulate_many`. `summaries`: one record (dtype `SUMMARY`) a run; lengths [m], rates [1/s], times
-    [s].
+    """Result of `simulate_many`. `summaries`: one record (dtype `SUMMARY`) a run, in the shape of what varies; lengths
+    [m], rates [1/s], times [s].
 
     - peak_x, peak_y, rms_x, rms_y: displacement from the static equilibrium, at the samples
     - squeal_frequency [Hz]: mean rate at which x passes its equilibrium upwards, from the first passage to the last
@@ -62,7 +66,7 @@ class Ensemble:
       for fewer than two such blocks. Near zero on a limit cycle: what it says depends on the window
     - contact_loss_time [s], contact_share, separations: exact, from the contact events
     - status: index into `STATUS`
-    `traces`, where asked for: float64 (runs, samples, 6), x, y, vx, vy, N, F_t; nan from where a run failed.
+    `traces`, where asked for: float64 (..., samples, 6), x, y, vx, vy, N, F_t; nan from where a run failed.
     """
 
     summaries: NDArray[np.void]
@@ -70,25 +74,28 @@ class Ensemble:
 
 
 def simulate_many(
-    parameters: Sequence[RigParameters],
+    parameters: RigParameters | Sequence[RigParameters],
     duration: float,
     sample_rate: float = 51200.0,
     settle: float = 0.0,
     initial_compressions: ArrayLike = 0.1,
     threads: int | None = None,
     traces: bool = False,
+    **varied: ArrayLike,
 ) -> Ensemble:
     """Simulate each set of parameters with the exact engine; the result does not depend on the number of threads.
 
     Args:
-        parameters: one set a run.
+        parameters: what `varied` leaves as it is, switches included; or one set a run, and nothing varied.
         duration: time summarised of each run [s], after `settle`.
         sample_rate: samples per second [Hz].
         settle: time simulated first, without being summarised [s].
         initial_compressions: start at rest, displaced towards the belt by this many static compressions; one number
-            or one a run.
+            or an array that broadcasts with what varies.
         threads: how many work at once; one a core when None.
         traces: keep every sample as well, 48 bytes each.
+        varied: numeric fields of `RigParameters`, and `pad_stiffness` for k1 and k2 at once, that broadcast to one
+            shape, the shape of the result. A set of parameters takes 0.2 kB.
 
     Raises:
         ParameterError: an argument is out of its bounds. A run that fails says so in its status.
@@ -98,17 +105,8 @@ def simulate_many(
         raise ParameterError(f"settle = {settle} s is out of bounds: it must be 0 s or more")
     if threads is not None and threads < 1:
         raise ParameterError(f"threads = {threads} is out of bounds: it must be 1 or more")
-    runs = len(parameters)
-    offsets = np.asarray(initial_compressions, dtype=np.float64)
-    if offsets.shape not in ((), (runs,)) or not np.isfinite(offsets).all():
-        raise ParameterError(
-            f"initial_compressions of shape {offsets.shape} must be one finite number, or one for each of {runs} runs"
-        )
-    starts = np.broadcast_to(offsets, (runs,)).copy()
-    fields = declarations(RigParameters)
-    packed = pack({name: np.array([getattr(p, name) for p in parameters]) for name in fields}).reshape(
-        runs, PACKED_SIZE
-    )
+    packed, starts, shape = _many_sets(parameters, varied, np.asarray(initial_compressions, dtype=np.float64))
+    runs = len(packed)
     samples = math.ceil(duration * sample_rate * (1.0 - 1e-12))
     settling = math.ceil(settle * sample_rate * (1.0 - 1e-12))
     table = np.full((runs, len(_COLUMNS)), np.nan)
@@ -125,7 +123,39 @@ def simulate_many(
     for column, name in enumerate(_COLUMNS):
         values = table[:, column]
         summaries[name] = np.nan_to_num(values) if SUMMARY[name].kind == "i" else values
-    return Ensemble(summaries, kept if traces else None)
+    return Ensemble(summaries.reshape(shape), kept.reshape((*shape, samples, SAMPLE_SIZE)) if traces else None)
+
+
+def _many_sets(
+    parameters: RigParameters | Sequence[RigParameters], varied: Mapping[str, ArrayLike], offsets: Vector
+) -> tuple[Vector, Vector, tuple[int, ...]]:
+    """Packed parameters (runs, 28), starts (runs,) and the shape of the result."""
+    if isinstance(parameters, RigParameters):
+        values, shape = checked_arrays(varied, FIELDS, "many runs")
+        try:
+            shape = np.broadcast_shapes(shape, offsets.shape)
+        except ValueError:
+            raise ParameterError(
+                f"initial_compressions of shape {offsets.shape} does not broadcast with what varies, {shape}"
+            ) from None
+        base: Mapping[str, Any] = parameters.as_mapping()
+    else:
+        if varied:
+            raise ParameterError(
+                f"{next(iter(varied))!r} cannot vary over a list of parameters: give one set, and arrays"
+            )
+        shape = (len(parameters),)
+        if offsets.shape not in ((), shape):
+            raise ParameterError(
+                f"initial_compressions of shape {offsets.shape} must be one finite number, or one for each of"
+                f" {len(parameters)} runs"
+            )
+        base = {}
+        values = {name: np.array([getattr(p, name) for p in parameters]) for name in declarations(RigParameters)}
+    if not np.isfinite(offsets).all():
+        raise ParameterError("initial_compressions must be finite numbers")
+    packed = np.array(np.broadcast_to(pack({**base, **values}), (*shape, PACKED_SIZE)))
+    return packed.reshape(-1, PACKED_SIZE), np.broadcast_to(offsets, shape).flatten(), shape
 
 
 @kernel
@@ -154,7 +184,7 @@ def _summarise(
         ended = DONE
         for first in range(0, settling, _BLOCK):
             part = block[: min(_BLOCK, settling - first)]
-            ended, _ = advance(state, q, flow, substeps, w, tally, events, part)
+            ended, _ = advance_any(state, q, flow, substeps, w, tally, events, part, 0)
             if ended != DONE:
                 break
         tally[:] = 0.0
@@ -165,7 +195,7 @@ def _summarise(
             if ended != DONE:
                 break
             part = block[: min(_BLOCK, samples - first)]
-            ended, _ = advance(state, q, flow, substeps, w, tally, events, part)
+            ended, _ = advance_any(state, q, flow, substeps, w, tally, events, part, 0)
             if kept.shape[0] > 0 and ended == DONE:
                 kept[run, first : first + part.shape[0]] = part
             _add_block(part, first, x, y, previous, sums)
@@ -183,17 +213,20 @@ _BLOCKS, _INDEX, _INDEX_2, _LOG, _INDEX_LOG = range(7, 12)
 _SUMS = 12
 
 
-@kernel
+@reduction_kernel
 def _add_block(part: Vector, first: int, x0: float, y0: float, previous: float, sums: Vector) -> None:
     """Add one block of samples, the first of which has index `first`; `previous` is the x before it."""
     square_x, square_y = 0.0, 0.0
-    before = previous - x0
+    peak_x, peak_y = sums[_PEAK_X], sums[_PEAK_Y]
     for i in range(part.shape[0]):
         x, y = part[i, 0] - x0, part[i, 1] - y0
         square_x += x * x
         square_y += y * y
-        sums[_PEAK_X] = max(sums[_PEAK_X], abs(x))
-        sums[_PEAK_Y] = max(sums[_PEAK_Y], abs(y))
+        peak_x, peak_y = max(peak_x, abs(x)), max(peak_y, abs(y))
+    sums[_PEAK_X], sums[_PEAK_Y] = peak_x, peak_y
+    before = previous - x0
+    for i in range(part.shape[0]):
+        x = part[i, 0] - x0
         if before < 0.0 <= x:
             sums[_LAST_PASSAGE] = first + i - x / (x - before)
             if sums[_PASSAGES] == 0.0:

@@ -6,10 +6,9 @@ proven:
 - the pad cannot meet or leave the belt within the step: |y(s) - chord| <= h^2/8 max|y''|, so a start and an end
   further than that from L_pre exclude any crossing, double ones included. A bound of max|y''| for the whole small range
   decides nearly always; one for the state at hand decides where the pad is close to the edge.
-Every other step is careful (`careful_step`): Taylor series (`near` in the small range, else the full
-nonlinear equations of `series`) to the first zero of y - L_pre (or of V - vx where friction sees
-|V - vx|), from there in the other mode, and so on to the end of the step, in pieces no longer than the series is exact
-to rounding. So far motions and slip friction are slower, never wrong.
+Every other step is careful (`careful_step`): a Taylor series (`near`) to the first zero of y - L_pre, from there in the
+other mode, and so on to the end of the step. A pad beyond the small range, and friction that sees the slip, are left to
+`stepping`: slower, never wrong.
 
 The maps are evaluated anew at each fourth step, counted on through all blocks, and after each event. So blocks of any
 length give the bits of one run, and so does a state of which a new run starts after a multiple of four steps; after
@@ -21,11 +20,11 @@ from __future__ import annotations
 import numpy as np
 
 from squeal_rig.errors import ModelError
-from squeal_rig.model.core.forces import acceleration, friction_ratio
+from squeal_rig.model.core.forces import acceleration
 from squeal_rig.model.core.kernel import fused_kernel, inlined_kernel
-from squeal_rig.model.core.layout import K_C, L_PRE, MU, SLIP_DIRECTION, SLIP_SPEED, SPEED, Vector
+from squeal_rig.model.core.layout import K_C, L_PRE, MU, Vector
 from squeal_rig.model.motion.cubic import evaluate_all
-from squeal_rig.model.motion.near import NEAR_ORDER, evaluate_near, expand_near, first_zero_near
+from squeal_rig.model.motion.near import evaluate_near, expand_near, first_zero_near
 from squeal_rig.model.motion.propagator import (
     AHEAD,
     ALL_PASSED,
@@ -33,6 +32,8 @@ from squeal_rig.model.motion.propagator import (
     CONTACT_LIMITS,
     FLOW_SIZE,
     GX,
+    KIND,
+    MAPS,
     NEAR,
     OFF_BELT,
     OFF_BELT_LIMITS,
@@ -42,19 +43,7 @@ from squeal_rig.model.motion.propagator import (
     STEPS,
     TUBE,
 )
-from squeal_rig.model.motion.series import (
-    EVENT,
-    MAX_ORDER,
-    ROWS,
-    X,
-    Y,
-    evaluate,
-    expand,
-    first_zero,
-    rests_on_edge,
-    share_before_tanh_turns,
-    trusted_share,
-)
+from squeal_rig.model.motion.series import MAX_ORDER, ROWS
 
 #: Columns of a recorded event: time from the start of the block [s], vy [m/s] (above 0: the pad leaves the belt).
 EVENT_TIME, EVENT_SPEED = 0, 1
@@ -62,11 +51,9 @@ EVENT_TIME, EVENT_SPEED = 0, 1
 CONTACT_TIME, SEPARATIONS, EVENTS, SINCE, PIECES, BUDGET = range(6)
 TALLY_SIZE = 6
 #: How a block ended.
-DONE, NOT_FINITE, STUCK, OVER_BUDGET = range(4)
+DONE, NOT_FINITE, STUCK, OVER_BUDGET, BEYOND = range(5)
 
 _CACHE_LINE = 8  # numbers in it
-# Beyond the near range; rate times step is at most 0.25, faster changes shorten the step.
-_FULL_ORDER, _FULL_ARM_ORDER = 14, 12
 MAX_PIECES = 100_000
 # Where a diverging motion is given up: long before its numbers overflow.
 _BEYOND_M, _BEYOND_M_S = 1e6, 1e12
@@ -112,91 +99,67 @@ def is_in_contact(state: Vector, q: Vector) -> bool:
     return bool(gap <= 0.0)
 
 
-@fused_kernel
-def _slip_sign(state: Vector, q: Vector) -> float:
-    """Sign of V - vx just after a state; only friction that sees |V - vx| asks."""
-    slip = q[SPEED] - state[2]
-    if slip == 0.0:
-        slip = -acceleration(state[0], state[1], state[2], state[3], q)[0]
-    return 1.0 if slip >= 0.0 else -1.0
-
-
-@inlined_kernel
-def next_piece(state: Vector, q: Vector, flow: Vector, rest: float, w: Vector) -> tuple[float, int, int]:
-    """Expand the path from `state` in the workspace `w` over `rest` [s].
-
-    Returns how far it may be followed, as a share of `rest`; the order of the series; and what ends it there: 0 its
-    accuracy or the end of the step, 1 a contact event, 2 V - vx = 0.
-    """
-    slips = q[SLIP_SPEED] > 0.0 or q[SLIP_DIRECTION] > 0.0
-    # A fast pad may leave the small range within the step: where it is at the end counts too.
-    reach = max(abs(state[0]) + rest * abs(state[2]), abs(state[1]) + rest * abs(state[3]))
-    if slips or rest > flow[STEP] or not reach <= flow[NEAR]:
-        return _far_piece(state, q, flow, rest, w)
-    gap = state[1] - q[L_PRE]
-    contact = gap < 0.0 or (gap == 0.0 and (state[3] < 0.0 or (state[3] == 0.0 and is_in_contact(state, q))))
-    size, slope, end = expand_near(state, q, flow, contact, rest, w)
-    share, found = first_zero_near(w, gap, size, slope, end)
-    return share, NEAR_ORDER, 1 if found else 0
-
-
-@fused_kernel
-def _far_piece(state: Vector, q: Vector, flow: Vector, rest: float, w: Vector) -> tuple[float, int, int]:
-    """`next_piece` by the full nonlinear equations."""
-    contact = is_in_contact(state, q)
-    kinked = q[SLIP_SPEED] > 0.0
-    gap = state[1] - q[L_PRE]
-    order, what = _FULL_ORDER, 0
-    expand(state, q, flow, contact, _slip_sign(state, q), rest, _FULL_ORDER, _FULL_ARM_ORDER, w)
-    share = trusted_share(w, order)
-    if contact and q[SLIP_DIRECTION] > 0.0:
-        share = share_before_tanh_turns(w, order, share)
-    if not rests_on_edge(gap, state[1], w):
-        w[Y, 0] = gap
-        share, found = first_zero(w[Y, : order + 1], share)
-        w[Y, 0] = state[1]
-        what = 1 if found else 0
-    if kinked:
-        for n in range(order):
-            w[EVENT, n] = -(n + 1) * w[X, n + 1] / rest
-        w[EVENT, 0] = q[SPEED] - state[2]
-        clear, found = first_zero(w[EVENT, :order], share)
-        if clear < share:
-            share, what = clear, 2 if found else 0
-    return share, order, what
-
-
-@inlined_kernel
-def follow_piece(state: Vector, q: Vector, share: float, order: int, what: int, rest: float, w: Vector) -> None:
-    """Carry `state` to the end of a piece, and onto the event that ends it: by rounding it may fall short of it."""
-    if order == NEAR_ORDER:
-        evaluate_near(w, share, rest, state)
-    else:
-        evaluate(w, order, share, rest, state)
-    if what == 1:
-        state[1] = q[L_PRE]
-    elif what == 2:
-        state[2] = q[SPEED]
-
-
 @inlined_kernel
 def careful_step(
     state: Vector, q: Vector, flow: Vector, start: float, h: float, w: Vector, tally: Vector, events: Vector
 ) -> int:
-    """Carry `state` over h [s] through every event on the way; `start` is the time in the block [s]."""
+    """Carry `state` over h [s] through every contact event on the way; `start` is the time in the block [s].
+
+    Where the near range does not hold for all of it, nothing is changed and the answer is `BEYOND`.
+    """
+    x, y, vx, vy = state[0], state[1], state[2], state[3]
+    before, since, separations = tally[CONTACT_TIME], tally[SINCE], tally[SEPARATIONS]
+    count = tally[EVENTS]
     rest = h
-    allowed = MAX_PIECES if tally[BUDGET] == 0.0 else int(min(MAX_PIECES, max(1.0, tally[BUDGET] - tally[PIECES])))
+    allowed = pieces_allowed(tally)
     for _ in range(allowed):
+        if not is_near(state, flow, rest):
+            state[0], state[1], state[2], state[3] = x, y, vx, vy
+            tally[CONTACT_TIME], tally[SINCE], tally[SEPARATIONS] = before, since, separations
+            tally[EVENTS] = count
+            return BEYOND
         tally[PIECES] += 1.0
-        share, order, what = next_piece(state, q, flow, rest, w)
+        share, found = near_piece(state, q, flow, rest, w)
         if not share > 0.0:
             break
-        follow_piece(state, q, share, order, what, rest, w)
+        evaluate_near(w, share, rest, state)
         rest *= 1.0 - share
-        if what == 1:
-            _count_event(state[3], start + (h - rest), tally, events)
+        if found:
+            state[1] = q[L_PRE]  # by rounding it may fall short of it
+            count_event(state[3], start + (h - rest), tally, events)
         if rest <= 0.0:
             break
+    return step_ending(state, rest, allowed)
+
+
+@inlined_kernel
+def is_near(state: Vector, flow: Vector, rest: float) -> bool:
+    """Whether the pad is in the near range, and at its speed still is after `rest` [s]; NaN is not."""
+    reach = max(abs(state[0]) + rest * abs(state[2]), abs(state[1]) + rest * abs(state[3]))
+    return bool(reach <= flow[NEAR])
+
+
+@inlined_kernel
+def near_piece(state: Vector, q: Vector, flow: Vector, rest: float, w: Vector) -> tuple[float, bool]:
+    """Expand the path in the near range from `state` in the workspace `w` over `rest` [s], friction being constant.
+
+    Returns how far it may be followed, as a share of `rest`, and whether a contact event ends it there.
+    """
+    gap = state[1] - q[L_PRE]
+    contact = gap < 0.0 or (gap == 0.0 and (state[3] < 0.0 or (state[3] == 0.0 and is_in_contact(state, q))))
+    size, slope, end = expand_near(state, q, flow, contact, rest, w)
+    return first_zero_near(w, gap, size, slope, end)
+
+
+@inlined_kernel
+def pieces_allowed(tally: Vector) -> int:
+    """Pieces that the next step may have."""
+    return MAX_PIECES if tally[BUDGET] == 0.0 else int(min(MAX_PIECES, max(1.0, tally[BUDGET] - tally[PIECES])))
+
+
+@inlined_kernel
+def step_ending(state: Vector, rest: float, allowed: int) -> int:
+    """How a careful step ended that left `rest` [s]."""
     # NaN fails this too.
     if not (abs(state[0]) + abs(state[1]) <= _BEYOND_M and abs(state[2]) + abs(state[3]) <= _BEYOND_M_S):
         return NOT_FINITE
@@ -206,7 +169,7 @@ def careful_step(
 
 
 @inlined_kernel
-def _count_event(vy: float, time: float, tally: Vector, events: Vector) -> None:
+def count_event(vy: float, time: float, tally: Vector, events: Vector) -> None:
     """Count one contact event, and record it while there is room."""
     if vy > 0.0:
         tally[CONTACT_TIME] += time - tally[SINCE]
@@ -230,22 +193,23 @@ def _cannot_cross(
 
 
 @inlined_kernel
-def _first_not_passed(state: Vector, flow: Vector) -> int:
+def first_not_passed(state: Vector, flow: Vector, kind: float) -> int:
     """Where in the path kept from the last block the next state begins; at its end where it does not lead on."""
     k = int(flow[PASSED])
     for i in range(4):
         # A state that somebody changed meanwhile is on no path. At 0 there is nothing to compare with.
-        if k < 4 or flow[PATH + k - 4 + i] != state[i]:
+        if k < 4 or flow[KIND] != kind or flow[PATH + k - 4 + i] != state[i]:
             return ALL_PASSED
     return k
 
 
 @fused_kernel
-def _glide(
+def glide(
     state: Vector,
     q: Vector,
     flow: Vector,
     contact: bool,
+    fastest: float,
     substeps: int,
     first: int,
     steps: int,
@@ -253,21 +217,21 @@ def _glide(
 ) -> int:
     """Plain steps from number `first` on, up to `steps` or the first that is not proven; samples on the way to `out`.
 
+    Friction is constant as long as vx < `fastest` at both ends of a step [m/s].
     Returns the number of the step not taken; `state` is its start, and already in `out` where it is a sample.
     """
     path, m = flow[PATH:PASSED], flow[:OFF_BELT] if contact else flow[OFF_BELT:CONTACT_LIMITS]
     limits = flow[CONTACT_LIMITS:OFF_BELT_LIMITS] if contact else flow[OFF_BELT_LIMITS:GX]
     stiffness, edge, mu, h, tube = q[K_C], q[L_PRE], q[MU], flow[STEP], limits[TUBE]
-    slips = q[SLIP_SPEED] > 0.0 or q[SLIP_DIRECTION] > 0.0
-    near = -1.0 if slips else flow[NEAR]
+    near = flow[NEAR]
     low, high = (-near, min(near, edge - tube)) if contact else (max(-near, edge + tube), near)
     x, y, vx, vy = state[0], state[1], state[2], state[3]
-    clear = low < y < high and abs(x) < near
+    clear = low < y < high and abs(x) < near and vx < fastest
     sample = first // substeps
     past_sample = first - sample * substeps
     before = int(flow[STEPS])
-    k = _first_not_passed(state, flow)
-    flow[PASSED] = ALL_PASSED
+    k = first_not_passed(state, flow, MAPS)
+    flow[PASSED], flow[KIND] = ALL_PASSED, MAPS
     for n in range(first, steps):
         if k == ALL_PASSED or (n + before) & (AHEAD - 1) == 0:
             evaluate_all(m, x, y, vx, vy, path)
@@ -275,16 +239,17 @@ def _glide(
         if past_sample == 0:
             normal = stiffness * max(0.0, edge - y)
             out[sample, 0], out[sample, 1], out[sample, 2], out[sample, 3] = x, y, vx, vy
-            out[sample, 4], out[sample, 5] = normal, (friction_ratio(vx, q) if slips else mu) * normal
-        next_x, next_y = path[k], path[k + 1]
-        next_clear = low < next_y < high and abs(next_x) < near
+            out[sample, 4], out[sample, 5] = normal, mu * normal
+        next_x, next_y, next_vx = path[k], path[k + 1], path[k + 2]
+        next_clear = low < next_y < high and abs(next_x) < near and next_vx < fastest
         if not (clear and next_clear):
             reach = max(abs(x), abs(y), abs(next_x), abs(next_y))
-            if not (reach <= near and _cannot_cross(x, y, vx, vy, next_y, edge, contact, h, limits)):
+            proven = reach <= near and vx < fastest and next_vx < fastest
+            if not (proven and _cannot_cross(x, y, vx, vy, next_y, edge, contact, h, limits)):
                 state[0], state[1], state[2], state[3] = x, y, vx, vy
                 return n
         clear = next_clear
-        x, y, vx, vy = next_x, next_y, path[k + 2], path[k + 3]
+        x, y, vx, vy = next_x, next_y, next_vx, path[k + 3]
         k, past_sample = k + 4, past_sample + 1
         if past_sample == substeps:
             sample, past_sample = sample + 1, 0
@@ -305,7 +270,7 @@ def advance(
     out: Vector,
 ) -> tuple[int, int]:
     """Fill `out` (n, 6) with samples x, y, vx, vy, N, F_t from `state` (4,) on, which ends one interval after the
-    last.
+    last; friction is constant, and the pad in the near range.
 
     Args:
         state: x, y, vx, vy [m, m/s].
@@ -319,28 +284,42 @@ def advance(
         out: room for the samples.
 
     Returns:
-        how the block ended, and the number of samples filled.
+        how the block ended, and the number of samples filled; after `BEYOND`, which only `stepping` knows how to go on
+        from, the number of steps taken.
     """
     h = flow[STEP]
     contact = is_in_contact(state, q)
-    tally[SINCE], tally[EVENTS], tally[PIECES] = 0.0, 0.0, 0.0
-    steps = out.shape[0] * substeps
-    budget = tally[BUDGET] if tally[BUDGET] > 0.0 else np.inf
+    # Not step = 0: for a constant numba would compile what takes it once more.
+    step, steps, budget = begin_block(tally, out.shape[0], substeps)
     if steps > budget:
         return OVER_BUDGET, 0
-    step = 0
     while True:
-        step = _glide(state, q, flow, contact, substeps, step, steps, out)
+        step = glide(state, q, flow, contact, np.inf, substeps, step, steps, out)
         if step == steps:
             break
         ended = careful_step(state, q, flow, step * h, h, w, tally, events)
+        if ended == BEYOND:
+            return BEYOND, step
         step += 1
         if ended == DONE and steps + tally[PIECES] > budget:
             ended = OVER_BUDGET
         if ended != DONE:
             return ended, (step - 1) // substeps + 1
         contact = is_in_contact(state, q)
+    end_block(flow, tally, contact, steps)
+    return DONE, out.shape[0]
+
+
+@inlined_kernel
+def begin_block(tally: Vector, samples: int, substeps: int) -> tuple[int, int, float]:
+    """Set back what is counted by the block; its first step, its steps, and how many steps and pieces it may take."""
+    tally[SINCE], tally[EVENTS], tally[PIECES] = 0.0, 0.0, 0.0
+    return int(tally[EVENTS]), samples * substeps, tally[BUDGET] if tally[BUDGET] > 0.0 else np.inf
+
+
+@inlined_kernel
+def end_block(flow: Vector, tally: Vector, contact: bool, steps: int) -> None:
+    """Count what the last event left open, and the steps."""
     flow[STEPS] = (int(flow[STEPS]) + steps) % AHEAD
     if contact:
-        tally[CONTACT_TIME] += steps * h - tally[SINCE]
-    return DONE, out.shape[0]
+        tally[CONTACT_TIME] += steps * flow[STEP] - tally[SINCE]

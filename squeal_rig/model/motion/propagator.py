@@ -37,7 +37,7 @@ import math
 
 import numpy as np
 
-from squeal_rig.model.core.kernel import kernel
+from squeal_rig.model.core.kernel import fused_kernel, kernel
 from squeal_rig.model.core.layout import (
     A1X,
     A1Y,
@@ -58,7 +58,7 @@ from squeal_rig.model.core.layout import (
     MU,
     Vector,
 )
-from squeal_rig.model.motion.cubic import TERMS, compose, multiply_linear
+from squeal_rig.model.motion.cubic import TERMS, add_product_linear, monomials, multiply_linear, substitute
 
 #: Largest error of one step by propagators, as a share of the displacement (the bound above).
 NEAR_ERROR = 1e-11
@@ -81,11 +81,20 @@ NEAR, STEP, K_AA, K_AB, K_BB = 1146, 1147, 1148, 1149, 1150  # stiffness of arms
 # the next four steps; where the first not yet passed begins, ALL_PASSED where there is none; and steps taken, modulo 4.
 PATH, PASSED, STEPS = 1152, 1168, 1169
 ALL_PASSED = 16
-FLOW_SIZE = 1170
+# What the path was made by: the maps, or one Taylor series, of which y leaves its chords by no more than PATH_TUBE.
+KIND, PATH_TUBE = 1170, 1171
+MAPS, SERIES = 0.0, 1.0
+# Room for making the maps: A and b of a mode; e^{Ah} and the integral of e^{As} b for four steps; polynomials.
+_A, _B, _EXPONENTIALS, _TERM, _ROOM, _MAPS, _MONOMIALS = 1176, 1192, 1200, 1300, 1336, 1584, 2144
+FLOW_SIZE = _MONOMIALS + TERMS * TERMS
 
 _TERMS = 16
 _ROOT = math.sqrt(0.6)
-_NODE_1, _NODE_2, _NODE_3 = 0.5 - 0.5 * _ROOT, 0.5, 0.5 + 0.5 * _ROOT
+# Gauss-Legendre nodes, of which n and 2 - n together are one step; the whole step; and that of |A| and |b|.
+_SHARES = np.array([0.5 - 0.5 * _ROOT, 0.5, 0.5 + 0.5 * _ROOT, 1.0, 1.0])
+_POWERS, _BY_SIZE = 5, 4
+_WEIGHTS = np.array([5.0 / 18.0, 8.0 / 18.0, 5.0 / 18.0])
+_EXPONENTIAL = 20  # numbers in one: the matrix, then the integral
 
 
 @kernel
@@ -106,165 +115,208 @@ def substeps_needed(q: Vector, interval: float, longest: float) -> int:
     return max(1, math.ceil(min(share, 1e9) * (1.0 - 1e-12)))
 
 
-@kernel
+@fused_kernel
 def propagators(q: Vector, h: float, flow: Vector) -> None:
-    """Fill `flow` (`FLOW_SIZE`,) for the packed parameters `q` and the step h [s]."""
-    flow[PASSED], flow[STEPS] = ALL_PASSED, 0.0
+    """Fill `flow` (`FLOW_SIZE`,) for the packed parameters `q` and the step h [s]: of each mode the map of one step by
+    (P), the others by composition, and the limits.
+
+    Made of calls alone, over plain loops on one vector: `make_propagators` rests on the first, and loops without arrays
+    of their own compile several times as fast.
+    """
     _shared(q, h, flow)
-    for contact in (True, False):
-        _mode(q, h, contact, flow)
+    for mode in range(2):
+        _linear_part(q, mode, flow)
+        for n in range(_POWERS):
+            _exponential(h, n, flow)
+        _one_step(h, flow)
+        _more_steps(flow)
+        _file_maps(mode, flow)
+        _limits(q, h, mode, flow)
 
 
-@kernel
+def make_propagators(q: Vector, h: float, flow: Vector) -> None:
+    """`propagators` run by the interpreter, what it calls compiled: as fast but for 0.02 ms, and soon ready to run."""
+    getattr(propagators, "py_func", propagators)(q, h, flow)
+
+
+@fused_kernel
 def _shared(q: Vector, h: float, flow: Vector) -> None:
-    """Arm stiffness, the polynomial g and the range in which it holds."""
-    flow[GX : GX + 14] = 0.0
+    """Arm stiffness, the polynomial g and the range in which it holds; no path is left."""
+    flow[PASSED], flow[STEPS], flow[KIND] = ALL_PASSED, 0.0, MAPS
+    for n in range(14):
+        flow[GX + n] = 0.0
     flow[K_AA], flow[K_AB], flow[K_BB] = q[K34] / q[MASS], 0.0, 0.0
     linear, cubic = 0.0, 0.0
-    for stiffness, length, ax, ay in ((q[K1], q[L1], q[A1X], q[A1Y]), (q[K2], q[L2], q[A2X], q[A2Y])):
-        k = stiffness / q[MASS]
-        c, s = ax / length, ay / length
+    for arm in range(2):
+        first, second = arm == 0, arm != 0
+        length = q[L1] * first + q[L2] * second
+        k = (q[K1] * first + q[K2] * second) / q[MASS]
+        c, s = (q[A1X] * first + q[A2X] * second) / length, (q[A1Y] * first + q[A2Y] * second) / length
         flow[K_AA] += k * c * c
         flow[K_AB] += k * c * s
         flow[K_BB] += k * s * s
-        _arm_polynomial(k / length, k / length**2, c, s, flow[GX : GX + 7])
-        _arm_polynomial(k / length, k / length**2, s, c, flow[GY : GY + 7])
+        _add_arm(k / length, k / length**2, c, s, flow)
         linear += h * h * k / length
         cubic += h * h * k / length**3
-    # The polynomials of g_y were made with x and y exchanged: put them in the order of x.
-    for a, b in ((0, 2), (3, 6), (4, 5)):
-        flow[GY + a], flow[GY + b] = flow[GY + b], flow[GY + a]
     near = 0.01 * min(q[L1], q[L2])
     if linear > 0.0:
         near = min(near, math.sqrt(NEAR_ERROR) / linear, (0.5 * NEAR_ERROR / cubic) ** (1.0 / 3.0))
     flow[NEAR], flow[STEP] = near, h
 
 
-@kernel
-def _arm_polynomial(second: float, third: float, c: float, s: float, out: Vector) -> None:
-    """Add one arm's orders 2 and 3 of g along an axis with direction cosine c: the coefficients of its monomials."""
-    out[0] += second * 1.5 * c * s * s
-    out[1] += second * s * (1.0 - 3.0 * c * c)
-    out[2] += second * c * (1.0 - 3.0 * s * s) / 2.0
-    out[3] += third * (-2.5 * c**4 + 3.0 * c * c - 0.5)
-    out[4] += third * c * s * (4.5 - 7.5 * c * c)
-    out[5] += third * (1.0 - 7.5 * c * c * s * s)
-    out[6] += third * c * s * (1.5 - 2.5 * s * s)
+@fused_kernel
+def _add_arm(second: float, third: float, c: float, s: float, flow: Vector) -> None:
+    """Add one arm's orders 2 and 3 of g, its direction (c, s): the coefficients of the monomials.
+
+    Those of g_y are those of g_x with x and y, c and s exchanged.
+    """
+    for axis in range(2):
+        o, along = (GX, 1) if axis == 0 else (GY + 2, -1)
+        flow[o] += second * 1.5 * c * s * s
+        flow[o + along] += second * s * (1.0 - 3.0 * c * c)
+        flow[o + 2 * along] += second * c * (1.0 - 3.0 * s * s) / 2.0
+        o = GX + 3 if axis == 0 else GY + 6
+        flow[o] += third * (-2.5 * c**4 + 3.0 * c * c - 0.5)
+        flow[o + along] += third * c * s * (4.5 - 7.5 * c * c)
+        flow[o + 2 * along] += third * (1.0 - 7.5 * c * c * s * s)
+        flow[o + 3 * along] += third * c * s * (1.5 - 2.5 * s * s)
+        c, s = s, c
 
 
-@kernel
-def _mode(q: Vector, h: float, contact: bool, flow: Vector) -> None:
-    """Maps and limits of one mode: one step by (P), the others by composition."""
-    m = q[MASS]
-    a, b = np.zeros((4, 4)), np.zeros(4)
-    a[0, 2] = a[1, 3] = 1.0
-    a[2, 0], a[2, 1], a[3, 0], a[3, 1] = -flow[K_AA], -flow[K_AB], -flow[K_AB], -flow[K_BB]
-    a[2, 2], a[3, 3] = -q[C_X] / m, -q[C_Y] / m
-    b[2], b[3] = q[LOAD_X] / m, q[LOAD_Y] / m
-    if contact:
-        a[2, 1] -= q[MU] * q[K_C] / m
-        a[3, 1] -= q[K_C] / m
+@fused_kernel
+def _linear_part(q: Vector, mode: int, flow: Vector) -> None:
+    """A (row by row) and b of a mode: 0 in contact, 1 off the belt."""
+    m, a, b = q[MASS], flow[_A:_B], flow[_B : _B + 4]
+    for n in range(16):
+        a[n] = 0.0
+    a[2], a[7] = 1.0, 1.0
+    a[8], a[9], a[12], a[13] = -flow[K_AA], -flow[K_AB], -flow[K_AB], -flow[K_BB]
+    a[10], a[15] = -q[C_X] / m, -q[C_Y] / m
+    b[0], b[1], b[2], b[3] = 0.0, 0.0, q[LOAD_X] / m, q[LOAD_Y] / m
+    if mode == 0:
+        a[9] -= q[MU] * q[K_C] / m
+        a[13] -= q[K_C] / m
         b[2] += q[MU] * q[K_C] * q[L_PRE] / m
         b[3] += q[K_C] * q[L_PRE] / m
-    maps, room = np.empty((AHEAD, 4, TERMS)), np.empty((7, TERMS))
-    _one_step(a, b, h, flow[GX : GX + 7], flow[GY : GY + 7], maps[0], room)
+
+
+@fused_kernel
+def _one_step(h: float, flow: Vector) -> None:
+    """Equation (P) as four polynomials of degree 3 in z(0), the first map."""
+    out = flow[_MAPS : _MAPS + 4 * TERMS].reshape((4, TERMS))
+    room = flow[_ROOM : _ROOM + 7 * TERMS].reshape((7, TERMS))
+    for i in range(4):
+        for t in range(TERMS):
+            out[i, t] = 0.0
+    for n in range(3, -1, -1):
+        to, rows = (out, 4) if n == 3 else (room, 2)
+        o = _EXPONENTIALS + n * _EXPONENTIAL
+        for i in range(rows):
+            for t in range(TERMS):
+                to[i, t] = 0.0
+            to[i, 0] = flow[o + 16 + i]
+            for j in range(4):
+                to[i, 1 + j] = flow[o + 4 * i + j]
+        if n == 3:
+            continue
+        for i in range(3):  # xx, xy, yy
+            multiply_linear(room[i // 2], room[(i + 1) // 2], room[2 + i])
+        rest = _EXPONENTIALS + (2 - n) * _EXPONENTIAL
+        for axis in range(2):
+            _add_monomials(flow, GX + axis * (GY - GX), room)
+            for i in range(4):
+                weight = _WEIGHTS[n] * h * flow[rest + 4 * i + 2 + axis]
+                for t in range(TERMS):
+                    out[i, t] += weight * room[6, t]
+
+
+@fused_kernel
+def _more_steps(flow: Vector) -> None:
+    """The maps of two steps and more: that of one fewer, with that of one for its variables."""
+    maps = flow[_MAPS:_MONOMIALS].reshape((AHEAD, 4, TERMS))
+    step = flow[_MONOMIALS:FLOW_SIZE].reshape((TERMS, TERMS))
+    monomials(maps[0], step)
     for n in range(1, AHEAD):
-        compose(maps[0], maps[n - 1], maps[n], room)
-    o = IN_CONTACT if contact else OFF_BELT
+        substitute(maps[n - 1], step, maps[n])
+
+
+@fused_kernel
+def _file_maps(mode: int, flow: Vector) -> None:
+    """Put the coefficients into the order of `evaluate_all`."""
+    o = IN_CONTACT if mode == 0 else OFF_BELT
     for t in range(TERMS):
-        for n in range(AHEAD):
-            for i in range(4):
-                flow[o + 4 * AHEAD * t + 4 * n + i] = maps[n, i, t]
-    o = CONTACT_LIMITS if contact else OFF_BELT_LIMITS
-    _acceleration_bound(q, a, b, h, flow[o + BOUND : o + BOUND + 5], flow[NEAR])
-    flow[o + TUBE] = _tube(a, b, q, h, flow[NEAR])
+        for n in range(4 * AHEAD):
+            flow[o + 4 * AHEAD * t + n] = flow[_MAPS + TERMS * n + t]
 
 
-@kernel
-def _one_step(a: Vector, b: Vector, h: float, gx: Vector, gy: Vector, out: Vector, room: Vector) -> None:
-    """Equation (P) as four polynomials of degree 3 in z(0), `out` (4, 35); `room` (7, 35)."""
-    out[:] = 0.0
-    whole, drift = _exponential(a, b, h)
-    out[:, 0] = drift
-    out[:, 1:5] = whole
-    shares = (5.0 / 18.0, 8.0 / 18.0, 5.0 / 18.0)
-    for n, node in enumerate((_NODE_1, _NODE_2, _NODE_3)):
-        part, drift = _exponential(a, b, node * h)
-        rest, _ = _exponential(a, b, (1.0 - node) * h)
-        room[:] = 0.0
-        for i in range(2):
-            room[i, 0] = drift[i]
-            room[i, 1:5] = part[i]
-        multiply_linear(room[0], room[0], room[2])
-        multiply_linear(room[0], room[1], room[3])
-        multiply_linear(room[1], room[1], room[4])
-        for axis, c in enumerate((gx, gy)):
-            _add_monomials(c, room)
-            for i in range(4):
-                out[i] += shares[n] * h * rest[i, 2 + axis] * room[6]
+@fused_kernel
+def _add_monomials(flow: Vector, g: int, room: Vector) -> None:
+    """The component of g at `flow[g:]`, of the polynomials x, y, xx, xy, yy in `room[:5]`, into `room[6]`."""
+    for t in range(TERMS):
+        room[6, t] = flow[g] * room[2, t] + flow[g + 1] * room[3, t] + flow[g + 2] * room[4, t]
+    for n in range(2):
+        # The cubic terms: (c_3 x + c_4 y) xx and (c_5 x + c_6 y) yy.
+        for t in range(5):
+            room[5, t] = flow[g + 3 + 2 * n] * room[0, t] + flow[g + 4 + 2 * n] * room[1, t]
+        add_product_linear(room[5], room[2 + 2 * n], room[6])
 
 
-@kernel
-def _add_monomials(c: Vector, room: Vector) -> None:
-    """g of the polynomials x, y, xx, xy, yy in `room[:5]` into `room[6]`."""
-    x, y, xx, xy, yy, factor, g = room
-    g[:] = c[0] * xx + c[1] * xy + c[2] * yy
-    for square, along_x, along_y in ((xx, c[3], c[4]), (yy, c[5], c[6])):
-        factor_of = along_x * x + along_y * y
-        multiply_linear(factor_of, square, factor)
-        g += factor
-
-
-@kernel
-def _exponential(a: Vector, b: Vector, h: float) -> tuple[Vector, Vector]:
-    """e^{Ah} (4, 4) and int_0^h e^{As} b ds (4,)."""
-    term = np.eye(4)
-    whole = np.eye(4)
-    drift = h * b
+@fused_kernel
+def _exponential(h: float, share: int, flow: Vector) -> None:
+    """e^{As} (16 numbers) and int_0^s e^{Au} b du (4), s that share of the step, A and b for the last one by size."""
+    s, out = _SHARES[share] * h, _EXPONENTIALS + share * _EXPONENTIAL
+    a, b, term = flow[_A:_B], flow[_B : _B + 4], flow[_TERM : _TERM + 32]
+    for n in range(16):
+        term[n] = 1.0 if n % 5 == 0 else 0.0
+        flow[out + n] = term[n]
+    for i in range(4):
+        flow[out + 16 + i] = s * (abs(b[i]) if share == _BY_SIZE else b[i])
     for n in range(1, _TERMS + 1):
-        following = np.zeros((4, 4))
+        # The next term of the series, A^n s^n/n!.
         for i in range(4):
             for j in range(4):
                 value = 0.0
                 for k in range(4):
-                    value += a[i, k] * term[k, j]
-                following[i, j] = value * h / n
-        term = following
+                    value += (abs(a[4 * i + k]) if share == _BY_SIZE else a[4 * i + k]) * term[4 * k + j]
+                term[16 + 4 * i + j] = value * s / n
         for i in range(4):
             for j in range(4):
-                whole[i, j] += term[i, j]
-                drift[i] += term[i, j] * b[j] * h / (n + 1)
-    return whole, drift
+                value = term[16 + 4 * i + j]
+                term[4 * i + j] = value
+                flow[out + 4 * i + j] += value
+                flow[out + 16 + i] += value * (abs(b[j]) if share == _BY_SIZE else b[j]) * s / (n + 1)
 
 
-@kernel
-def _acceleration_bound(q: Vector, a: Vector, b: Vector, h: float, out: Vector, near: float) -> None:
-    """Bound of |y''| within a step that starts at z: |e^{As}| <= e^{|A|h} entry by entry, so nothing escapes it.
+@fused_kernel
+def _limits(q: Vector, h: float, mode: int, flow: Vector) -> None:
+    """Both limits of a step in a mode, from its A and b and `flow[NEAR]`.
 
-    The part of g is at most 2 sum k_i/m near^2/L_i; 5 % cover its own effect on the path.
+    The bound of |y''| within a step that starts at z: |e^{As}| <= e^{|A|h} entry by entry, so nothing escapes it. The
+    part of g is at most 2 sum k_i/m near^2/L_i; 5 % cover its own effect on the path.
+
+    The tube is h^2/8 max|r''| of a step with both ends within `near`: with p = max|r''|, |r| <= near + h^2/8 p and
+    |v| <= 2 near/h + h p in the step, so p <= k |r| + c |v| + |b| + |g| is an upper bound of p in terms of p itself;
+    rate times step <= 0.25 keeps its factor below 0.26.
     """
-    whole, drift = _exponential(np.abs(a), np.abs(b), h)
-    out[:] = 0.0
-    out[0] = abs(b[3]) + 2.0 * (q[K1] / q[L1] + q[K2] / q[L2]) / q[MASS] * near * near
+    a, b, near = flow[_A:_B], flow[_B : _B + 4], flow[NEAR]
+    whole = flow[_EXPONENTIALS + _BY_SIZE * _EXPONENTIAL : _EXPONENTIALS + _POWERS * _EXPONENTIAL]
+    o = CONTACT_LIMITS if mode == 0 else OFF_BELT_LIMITS
+    turned = 2.0 * (q[K1] / q[L1] + q[K2] / q[L2]) / q[MASS] * near * near
+    bound = flow[o + BOUND : o + BOUND + 5]
+    bound[0] = abs(b[3]) + turned
+    for j in range(4):
+        bound[1 + j] = 0.0
     for k in range(4):
-        out[0] += abs(a[3, k]) * drift[k]
+        bound[0] += abs(a[12 + k]) * whole[16 + k]
         for j in range(4):
-            out[1 + j] += abs(a[3, k]) * whole[k, j]
+            bound[1 + j] += abs(a[12 + k]) * whole[4 * k + j]
     for j in range(5):
-        out[j] *= 1.05
-
-
-@kernel
-def _tube(a: Vector, b: Vector, q: Vector, h: float, near: float) -> float:
-    """h^2/8 max|r''| of a step with both ends within `near`.
-
-    With p = max|r''|: |r| <= near + h^2/8 p and |v| <= 2 near/h + h p in the step, so p <= k |r| + c |v| + |b| + |g|
-    is an upper bound of p in terms of p itself; rate times step <= 0.25 keeps its factor below 0.26.
-    """
-    k = max(abs(a[2, 0]) + abs(a[2, 1]), abs(a[3, 0]) + abs(a[3, 1]))
-    c = max(abs(a[2, 2]), abs(a[3, 3]))
-    rest = max(abs(b[2]), abs(b[3])) + 2.0 * (q[K1] / q[L1] + q[K2] / q[L2]) / q[MASS] * near * near
+        bound[j] *= 1.05
+    k = max(abs(a[8]) + abs(a[9]), abs(a[12]) + abs(a[13]))
+    c = max(abs(a[10]), abs(a[15]))
+    rest = max(abs(b[2]), abs(b[3])) + turned
     own = 0.125 * h * h * k + h * c
-    if not own < 1.0:
-        return math.inf
-    return float(0.125 * h * h * 1.05 * ((k + 2.0 * c / h) * near + rest) / (1.0 - own))
+    tube = math.inf
+    if own < 1.0:
+        tube = 0.125 * h * h * 1.05 * ((k + 2.0 * c / h) * near + rest) / (1.0 - own)
+    flow[o + TUBE] = tube

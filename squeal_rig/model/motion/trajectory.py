@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from squeal_rig.errors import ParameterError
-from squeal_rig.model.core.layout import SAMPLE_SIZE, VX, Vector, pack
+from squeal_rig.model.core.forces import contact_force, friction_ratio
+from squeal_rig.model.core.kernel import kernel, reduction_kernel
+from squeal_rig.model.core.layout import SAMPLE_SIZE, STATE_SIZE, VX, VY, Vector, X, Y, pack
 from squeal_rig.model.core.statics import equilibrium
-from squeal_rig.model.motion import exact, propagator, rk4
+from squeal_rig.model.motion import exact, propagator, rk4, stepping
 from squeal_rig.model.parameters import RigParameters
 
 ENGINES = ("exact", "rk4")
@@ -22,20 +26,54 @@ DEFAULT_STEP = 1e-6
 LARGE_DISPLACEMENT = 0.01
 _START_COMPRESSIONS = 0.1
 _MAX_SAMPLES = 2**31
+_LARGE_PAGE = 2**18  # numbers in 2 MB
+_PIECE = 2048  # samples that are filed while they are in the nearer caches
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """A sampled motion of the pad. Arrays are float64 (n,): t [s], x, y [m], vx, vy [m/s], forces on the pad [N]."""
+    """A sampled motion of the pad: float64 arrays (n,), x, y [m], vx, vy [m/s].
 
-    t: Vector
+    `t` [s] and the forces on the pad [N] follow from these, and are computed when they are first asked for.
+    """
+
     x: Vector
     y: Vector
     vx: Vector
     vy: Vector
-    normal_force: Vector
-    tangential_force: Vector
     warnings: tuple[str, ...]
+    parameters: RigParameters
+    sample_rate: float
+    first: int = 0  # number of the first sample, which is at first/sample_rate
+
+    @cached_property
+    def t(self) -> Vector:
+        """Times of the samples [s], float64 (n,)."""
+        return np.arange(self.first, self.first + len(self.x)) / self.sample_rate
+
+    @property
+    def normal_force(self) -> Vector:
+        """Normal contact force N [N], float64 (n,)."""
+        return self._forces[0]
+
+    @property
+    def tangential_force(self) -> Vector:
+        """Friction force F_t on the pad, along the belt [N], float64 (n,)."""
+        return self._forces[1]
+
+    @cached_property
+    def _forces(self) -> tuple[Vector, Vector]:
+        normal, tangential = np.empty(len(self.x)), np.empty(len(self.x))
+        _fill_forces(self.y, self.vx, pack(self.parameters), normal, tangential)
+        return normal, tangential
+
+
+@kernel
+def _fill_forces(y: Vector, vx: Vector, q: Vector, normal: Vector, tangential: Vector) -> None:
+    """Fill N and F_t (n,) [N] at heights y (n,) [m] and velocities vx (n,) [m/s]."""
+    for i in range(len(y)):
+        normal[i] = contact_force(y[i], q)
+        tangential[i] = friction_ratio(vx[i], q) * normal[i]
 
 
 class Motion:
@@ -67,6 +105,7 @@ class Motion:
             raise ParameterError(f"engine = {engine!r} is not known: it must be one of {', '.join(ENGINES)}")
         refuse_unless_positive(sample_rate=(sample_rate, "Hz"), step=(DEFAULT_STEP if step is None else step, "s"))
         self._engine = engine
+        self.sample_rate = sample_rate
         self._interval = 1.0 / sample_rate
         self._longest_step = step
         self._flow, self._workspace = exact.empty_flow(), exact.workspace()
@@ -90,7 +129,7 @@ class Motion:
             return
         longest = self._interval if self._longest_step is None else self._longest_step
         self._substeps = propagator.substeps_needed(self._packed, self._interval, longest)
-        propagator.propagators(self._packed, self._interval / self._substeps, self._flow)
+        propagator.make_propagators(self._packed, self._interval / self._substeps, self._flow)
 
     def set_state(self, state: ArrayLike) -> None:
         """Put the pad into the state (x, y, vx, vy) [m, m/s]."""
@@ -107,11 +146,27 @@ class Motion:
         Raises:
             ModelError: the motion left every bound, or used up its budget.
         """
+        self._advance(out, 0)
+
+    def advance_columns(self, out: Vector) -> tuple[float, float]:
+        """Fill `out` (4, n) with x, y, vx, vy at the next n samples, a row each.
+
+        Returns the fastest vx [m/s] and the largest displacement [m] among them.
+        """
+        samples, extremes = out.shape[1], np.array([-math.inf, 0.0])
+        piece = np.empty((min(_PIECE, samples), SAMPLE_SIZE))
+        for start in range(0, samples, _PIECE):
+            part = piece[: samples - start]
+            self._advance(part, start)
+            _file(part, out[:, start:], extremes)
+        return float(extremes[0]), float(extremes[1])
+
+    def _advance(self, out: Vector, before: int) -> None:
         if self._engine == "rk4":
             filled = rk4.advance(self._state, self._packed, self._interval, self._substeps, out)
             ended = exact.DONE if filled == len(out) else exact.NOT_FINITE
         else:
-            ended, filled = exact.advance(
+            ended, filled = stepping.advance(
                 self._state,
                 self._packed,
                 self._flow,
@@ -121,7 +176,7 @@ class Motion:
                 self._events,
                 out,
             )
-        exact.refuse_unless_done(ended, filled * self._interval)
+        exact.refuse_unless_done(ended, (before + filled) * self._interval)
 
 
 def resting_state(p: RigParameters) -> Vector:
@@ -162,30 +217,98 @@ def simulate(
         ModelError: no equilibrium in contact to start from, or the motion left every bound.
     """
     refuse_unless_positive(duration=(duration, "s"))
-    start = displaced_state(p, _START_COMPRESSIONS) if initial_state is None else initial_state
-    motion = Motion(p, sample_rate, start, engine, step)
+    motion = Motion(p, sample_rate, _start(p, initial_state), engine, step)
+    return _trajectory(motion, 0, _sample_count(duration, sample_rate))
+
+
+def simulate_blocks(
+    p: RigParameters,
+    duration: float,
+    sample_rate: float = 51200.0,
+    initial_state: ArrayLike | None = None,
+    engine: str = DEFAULT_ENGINE,
+    step: float | None = None,
+    block_size: int = 65536,
+) -> Iterator[Trajectory]:
+    """`simulate` block by block: the same samples to the bit, memory flat however long the run is.
+
+    Args:
+        p, duration, sample_rate, initial_state, engine, step: as in `simulate`.
+        block_size: samples in each block; the last may be shorter.
+
+    Returns:
+        an iterator over trajectories that follow each other, each with the warnings of its own samples.
+
+    Raises:
+        ParameterError: an argument is out of its bounds.
+        ModelError: no equilibrium in contact to start from; while iterating: the motion left every bound.
+    """
+    refuse_unless_positive(duration=(duration, "s"))
+    if not 1 <= block_size < _MAX_SAMPLES:
+        raise ParameterError(f"block_size = {block_size} is out of bounds: 1 to {_MAX_SAMPLES - 1} samples")
+    motion = Motion(p, sample_rate, _start(p, initial_state), engine, step)
+    samples = _sample_count(duration, sample_rate, at_most=2.0**53)
+    return (_trajectory(motion, first, min(block_size, samples - first)) for first in range(0, samples, block_size))
+
+
+def _start(p: RigParameters, initial_state: ArrayLike | None) -> ArrayLike:
+    return displaced_state(p, _START_COMPRESSIONS) if initial_state is None else initial_state
+
+
+def _sample_count(duration: float, sample_rate: float, at_most: float = _MAX_SAMPLES) -> int:
     samples = duration * sample_rate
-    if samples >= _MAX_SAMPLES:
+    if samples >= at_most:
         raise ParameterError(
-            f"duration times sample_rate = {samples:.4g} samples is out of bounds: at most {_MAX_SAMPLES}"
+            f"duration times sample_rate = {samples:.4g} samples is out of bounds: at most {at_most:.0f}"
         )
-    out = np.empty((int(samples * (1.0 + 1e-12)) + 1, SAMPLE_SIZE))
-    motion.advance(out)
-    x, y, vx, vy, normal, tangential = (np.ascontiguousarray(column) for column in out.T)
-    t = np.arange(len(out)) / sample_rate
-    return Trajectory(t, x, y, vx, vy, normal, tangential, tuple(validity_warnings(p, out)))
+    return int(samples * (1.0 + 1e-12)) + 1
+
+
+def _trajectory(motion: Motion, first: int, samples: int) -> Trajectory:
+    """The motion's next samples, of which the first has the number `first`."""
+    columns = _room(STATE_SIZE * samples).reshape(STATE_SIZE, samples)
+    extremes = motion.advance_columns(columns)
+    p = motion.parameters
+    x, y, vx, vy = columns
+    return Trajectory(x, y, vx, vy, tuple(_warnings(p, *extremes)), p, motion.sample_rate, first)
+
+
+def _room(numbers: int) -> Vector:
+    """An empty array; a long one begins where a large page of memory does, since small ones cost far more time."""
+    if numbers < 2 * _LARGE_PAGE:
+        return np.empty(numbers)
+    room = np.empty(numbers + _LARGE_PAGE)
+    before = -(room.ctypes.data // room.itemsize) % _LARGE_PAGE
+    return room[before : before + numbers]
+
+
+@reduction_kernel
+def _file(part: Vector, out: Vector, extremes: Vector) -> None:
+    """Put the states of samples (m, 6), still in the cache, into the first m columns of `out` (4, n), and widen
+    `extremes`: the largest vx, and the largest |x| or |y|.
+    """
+    fastest, largest = extremes[0], extremes[1]
+    for i in range(part.shape[0]):
+        x, y, vx = part[i, X], part[i, Y], part[i, VX]
+        out[X, i], out[Y, i], out[VX, i], out[VY, i] = x, y, vx, part[i, VY]
+        fastest, largest = max(fastest, vx), max(largest, abs(x), abs(y))
+    extremes[0], extremes[1] = fastest, largest
 
 
 def validity_warnings(p: RigParameters, samples: Vector) -> list[str]:
     """Sentences where a block of samples (n, 6) left what the printed model assumes (the paper's section 3)."""
-    warnings = []
     fastest = float(np.max(samples[:, VX], initial=-math.inf))
+    return _warnings(p, fastest, float(np.max(np.abs(samples[:, :VX]), initial=0.0)))
+
+
+def _warnings(p: RigParameters, fastest: float, largest: float) -> list[str]:
+    """The sentences for the fastest vx [m/s] and the largest displacement [m] of some samples."""
+    warnings = []
     if p.friction_direction == "constant" and fastest > p.belt_speed:
         warnings.append(
             f"the pad's speed along the belt reached {fastest:.4g} m/s, above the belt speed {p.belt_speed:g} m/s:"
             " the printed direction of friction does not hold there"
         )
-    largest = float(np.max(np.abs(samples[:, :VX]), initial=0.0))
     arm = min(p.arm_length_1, p.arm_length_2)
     if largest > LARGE_DISPLACEMENT * arm:
         warnings.append(
