@@ -2,6 +2,7 @@
 
 import csv
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -194,3 +195,15 @@ def test_pictures_are_drawn_without_a_map_of_hits_and_without_borders(chart):
     assert zone_figure(still).png.startswith(PNG)
     assert len(branch_figure(branch_diagram(RIG, "damping_y", (200.0, 1500.0))).png) > 20_000
     assert picture("empty", "", lambda axes: None).png.startswith(PNG)
+
+
+def test_the_page_for_users_says_what_its_python_lines_give():
+    text = (Path(__file__).parents[2] / "docs" / "hard_squeal.md").read_text(encoding="utf-8")
+    lines = text.split("## From Python")[1].split("## Limits")[0].splitlines()
+    code = "\n".join(line[4:] for line in lines if line.startswith("    "))
+    names: dict = {}
+    exec(code, names)
+    p = names["p"]
+    assert zone(p).name == "bistable"
+    assert squeal_cycle(p).frequency == pytest.approx(994.70, abs=0.005)
+    assert len(names["branch"].folds) == 1

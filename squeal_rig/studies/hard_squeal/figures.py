@@ -81,8 +81,9 @@ def branch_figure(diagram: Diagram, name: str = "branch") -> Picture:
         _zone_legend(right, np.unique(diagram.zones).tolist())
 
     caption = (
-        "(a) Peak displacement along the belt of the squeal cycle (solid) and of the separatrix (dashed), which meet in"
-        " a fold; the equilibrium lies at zero. (b) Their frequency. Fine dots: the rig's own value."
+        "(a) Peak displacement along the belt of the squeal cycle (solid) and of the unstable cycle (dashed), in the"
+        " bistable zone the separatrix; both meet in a fold. The equilibrium lies at zero. (b) Their frequency. Fine"
+        " dots: the rig's own value."
     )
     return picture(name, caption, draw, columns=2, height=3.8)
 
@@ -265,7 +266,7 @@ class _Curve:
         """Draw values over the field, solid where the cycle is stable and dashed where not, and mark special points."""
         for kind, color, line, text in (
             (self.stable, _STABLE, "-", "squeal cycle, stable"),
-            (~self.stable, _UNSTABLE, "--", "unstable cycle: separatrix"),
+            (~self.stable, _UNSTABLE, "--", "unstable cycle"),
         ):
             # A special point belongs to both sides; a change without one is drawn with the point before it.
             shown = kind | self.special
