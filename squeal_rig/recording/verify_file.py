@@ -50,6 +50,7 @@ class FileChecker:
         self._places: dict[int, int] = {}  # channel -> offset of its message index, of the last chunk
         self._chunk: tuple[str, ChunkIndex | None] | None = None  # the last one in words, and its entry in the index
         self._chunk_indexes: dict[int, ChunkIndex] = {}
+        self._indexed = False  # whether readers go by an index of chunks; else they go from front to back
         # Definitions, (opcode, id): those of the summary, and those met in the data so far.
         self._repeated: set[tuple[int, int]] = set()
         self._defined: set[tuple[int, int]] = set()
@@ -83,7 +84,7 @@ class FileChecker:
         elif opcode == Opcode.MESSAGE_INDEX:
             self._message_index(data[start:end], start - HEAD.size)
         elif opcode in DEFINITIONS:
-            self._define(opcode, data[start : start + 2])
+            self._define(opcode, data[start : start + 4])
         elif opcode in (Opcode.ATTACHMENT, Opcode.METADATA):
             self._try_reading(opcode, data, start, end)
         elif opcode == Opcode.MESSAGE:
@@ -110,7 +111,7 @@ class FileChecker:
                 places.append(start - HEAD.size)
                 self._expect_definition(raw[start : start + 2])
             elif opcode in DEFINITIONS:
-                self._define(opcode, raw[start : start + 2])
+                self._define(opcode, raw[start : start + 4])
         for message, place in zip(messages, places, strict=True):
             self._entries.setdefault(message.channel_id, set()).add((message.log_time, place))
             self._count(message)
@@ -144,9 +145,16 @@ class FileChecker:
         except BrokenRecordError as error:
             self._fault(f"at byte {start - HEAD.size}, {error}")
 
-    def _define(self, opcode: int, number: bytes) -> None:
-        """Take note of a definition; the summary has to repeat it, where it repeats any."""
-        key = opcode, int.from_bytes(number, "little")
+    def _define(self, opcode: int, numbers: bytes) -> None:
+        """Take note of a definition, by its number and that of a channel's schema, which has to come before.
+
+        The summary has to repeat it, where it repeats any.
+        """
+        key = opcode, int.from_bytes(numbers[:2], "little")
+        schema = Opcode.SCHEMA, int.from_bytes(numbers[2:], "little")
+        if opcode == Opcode.CHANNEL and schema[1] and schema not in self._defined:
+            self._defined.add(schema)
+            self._fault(f"channel {key[1]} comes before its schema {schema[1]}")
         if key not in self._defined:
             self._defined.add(key)
             if self._repeated and key not in self._repeated:
@@ -176,7 +184,7 @@ class FileChecker:
             return
         (where, entry), self._chunk = self._chunk, None
         missing = sorted(self._entries.keys() - self._places.keys())
-        if missing:
+        if missing and self._indexed:
             self._fault(f"{where} has no message index of channels {missing}")
         if entry is not None and entry.message_index_offsets != self._places:
             self._fault(f"{where} has its message indexes elsewhere than the index of the file says: readers miss some")
@@ -206,6 +214,7 @@ class FileChecker:
                     record = parse_record(opcode, data[first:last])
                     assert isinstance(record, ChunkIndex)
                     self._chunk_indexes[record.chunk_start_offset] = record
+                    self._indexed = True
                 elif opcode in DEFINITIONS:
                     self._repeated.add((opcode, int.from_bytes(data[first : first + 2], "little")))
                 elif opcode == Opcode.ATTACHMENT_INDEX:

@@ -10,7 +10,7 @@ from squeal_rig.analysis.segments import analyse_bag
 from squeal_rig.configuration.files import config_directory
 from squeal_rig.experiments.plan import load_plan
 from squeal_rig.report.run_figure import draw_run
-from squeal_rig.report.tables import segment_table
+from squeal_rig.report.tables import segment_table, zone_sentences
 from squeal_rig.session.replay_check import replay_and_compare
 from squeal_rig.session.run import SessionOptions, SignalWatch, private_domain, run_session
 
@@ -41,6 +41,8 @@ def run_demo(bag: Path, console: Console) -> int:
     )
     analysis = analyse_bag(bag)
     console.print(segment_table(analysis))
+    for sentence in zone_sentences(analysis):
+        console.print(sentence)
     picture = bag / "report.png"
     draw_run(analysis, picture)
     console.print(f"bag: {bag}\npicture: {picture}")
