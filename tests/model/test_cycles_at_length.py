@@ -8,7 +8,18 @@ import sys
 import numpy as np
 import pytest
 
-from squeal_rig.model import contact_events, displaced_state, eigenvalues, safe_hit, smallest_hit, squeal_cycle, zone
+from squeal_rig.model import (
+    RigParameters,
+    contact_events,
+    displaced_state,
+    eigenvalues,
+    safe_hit,
+    simulate,
+    smallest_hit,
+    squeal_cycle,
+    zone,
+)
+from squeal_rig.model.cycles.verdict import OUTLASTS, SETTLES, judge
 from squeal_rig.model.cycles.zones import located
 from squeal_rig.model.motion.trajectory import Motion
 
@@ -98,3 +109,19 @@ def test_settled_squeal_has_the_cycles_frequency_wherever_it_is_reached():
         assert measured == pytest.approx(found.frequency, rel=1e-5)
     sys.stdout.write(f"{compared} settled motions, frequency off by {worst:.1e} at most\n")
     assert compared > 20
+
+
+def test_hits_beyond_the_engines_near_range_get_the_verdict_of_a_long_run():
+    """Some settle on the squeal cycle, others on a motion ten times as large: neither dies out, neither is given up."""
+    p = RigParameters(preload=50.0, belt_speed=1.0, k1=4e7, k2=4e7, damping_x=1000.0, damping_y=1000.0)
+    found = located(p)
+    judged = judge(p, found.squeal, found.separatrix)
+    starts = np.array([judged.struck(20.0 * judged.unit_impulse, angle) for angle in np.linspace(-3.0, 3.0, 8)])
+    verdicts, _ = judged.verdicts(starts)
+    peak = found.zone.squeal.peak_x
+    for start, verdict in zip(starts, verdicts.tolist(), strict=True):
+        end = simulate(p, 0.4, 51200.0, start).x[-2048:]
+        settled = abs(np.ptp(end) / (2.0 * peak) - 1.0) < 0.1
+        assert verdict == (SETTLES if settled else OUTLASTS)
+        assert np.ptp(end) > peak
+    assert set(verdicts.tolist()) == {SETTLES, OUTLASTS}

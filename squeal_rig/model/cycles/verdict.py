@@ -45,7 +45,7 @@ from squeal_rig.model.core.statics import equilibrium
 from squeal_rig.model.cycles import flow
 from squeal_rig.model.cycles.path import refuse_what_has_no_cycles
 from squeal_rig.model.cycles.shooting import Orbit
-from squeal_rig.model.motion import exact
+from squeal_rig.model.motion import exact, stepping
 from squeal_rig.model.motion.propagator import ALL_PASSED, PASSED, RATE_TIMES_STEP, STEPS, fastest_rate, propagators
 from squeal_rig.model.motion.series import MAX_ORDER, ROWS
 from squeal_rig.model.motion.trajectory import LARGE_DISPLACEMENT
@@ -53,6 +53,7 @@ from squeal_rig.model.parameters import RigParameters
 
 #: Verdicts.
 QUIET, SETTLES, OUTLASTS, LEFT = range(4)
+_FAR = 4  # no verdict yet: the motion has left the engine's near range, and the start is where it did
 SENTENCES = (
     "dies out",
     "squeals for good: it settles on the squeal cycle",
@@ -87,10 +88,39 @@ class Judge:
 
     def verdicts(self, starts: Vector) -> tuple[NDArray[np.int64], Vector]:
         """Verdict and time simulated [s] of each start (n, 4): x, y, vx, vy."""
-        starts = np.ascontiguousarray(starts, dtype=np.float64)
-        found, times = np.empty(len(starts), dtype=np.int64), np.empty(len(starts))
-        _judge(starts, self.q, self.flow.copy(), self.rest, self.quiet, self.cycle, self.limits, found, times)
+        states = np.array(starts, dtype=np.float64, order="C")
+        found, times = self._judged(states)
+        for i in np.flatnonzero(found == _FAR).tolist():
+            found[i], times[i] = self._from_far(states[i], float(times[i]))
         return found, times
+
+    def _judged(self, states: Vector) -> tuple[NDArray[np.int64], Vector]:
+        found, times = np.empty(len(states), dtype=np.int64), np.empty(len(states))
+        _judge(states, self.q, self.flow.copy(), self.rest, self.quiet, self.cycle, self.limits, found, times)
+        return found, times
+
+    def _from_far(self, state: Vector, spent: float) -> tuple[int, float]:
+        """Verdict of a motion that has left the near range at `state` after a time [s]; and its time in all.
+
+        None of the criteria can be met out there: the full equations bring it back, which few starts need.
+        """
+        _, outlasted, interval, _, far = self.limits
+        maps, w, tally = self.flow.copy(), exact.workspace(), np.zeros(exact.TALLY_SIZE)
+        block, events = np.empty((_BLOCK, SAMPLE_SIZE)), np.empty((0, 2))
+        while True:
+            ended, _ = stepping.advance(state, self.q, maps, 1, w, tally, events, block)
+            spent += _BLOCK * interval
+            if ended != exact.DONE or not float(np.abs(state[:2]).max()) <= far:
+                return LEFT, spent
+            if spent > outlasted:
+                return OUTLASTS, spent
+            again = state[None].copy()
+            found, times = self._judged(again)
+            spent += float(times[0])
+            if found[0] != _FAR:
+                return int(found[0]), spent
+            state = again[0]
+            maps[PASSED], maps[STEPS] = ALL_PASSED, 0.0
 
     def struck(self, impulse: float, direction: float) -> Vector:
         """The state (4,) after a hit at rest: impulse [N s], direction [rad] from the belt's, -pi/2 towards it."""
@@ -204,6 +234,10 @@ def _judge(
                 break
             before = tally[exact.SEPARATIONS]
             ended, _ = exact.advance(state, q, maps, 1, w, tally, events, block)
+            if ended == exact.BEYOND:
+                verdict = _FAR
+                starts[n] = state
+                break
             time += _BLOCK * interval
             if ended != exact.DONE or not max(abs(state[0]), abs(state[1])) <= far:
                 verdict = LEFT
