@@ -9,10 +9,12 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
+from rcl_interfaces.msg import ParameterEvent
 from rcl_interfaces.srv import GetParameters, SetParameters, SetParametersAtomically
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
+from rclpy.qos import qos_profile_parameter_events
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64, Float64MultiArray, String
@@ -48,6 +50,7 @@ _TOPICS = {
     "stability/eigenvalues": (Float64MultiArray, qos.LATCHED),
     "squeal/state": (DiagnosticArray, qos.EVENTS),
     "/diagnostics": (DiagnosticArray, qos.EVENTS),
+    "/parameter_events": (ParameterEvent, qos_profile_parameter_events),
 }
 
 

@@ -44,7 +44,7 @@ def test_a_rig_that_sticks_reports_a_fault_answers_and_ends(compiled, processes,
 @pytest.mark.parametrize(
     "extreme",
     [
-        {**STICKING, "belt_speed": 0.0},
+        {**STICKING, **HELD, "contact_stiffness": 1e12},
         {"mass": 0.001, "damping_x": 1e6, "damping_y": 1e6, "contact_stiffness": 1e12},
     ],
     ids=["sticking", "stiff"],
