@@ -49,6 +49,7 @@ def _ended(pid):
 @pytest.fixture
 def session(processes, tmp_path):
     """(child, nodes, bag) of a session that samples and records."""
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup children would ignore it
     child = processes.command("run", "--bag", tmp_path / "bag", cwd=tmp_path)
     _wait(lambda: "F = 50 N" in child.output or not child.running, "a running session")
     assert child.running, child.errors
