@@ -7,6 +7,7 @@ import subprocess
 import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any, BinaryIO
 
 #: An answer, and the longest line that is one.
@@ -76,7 +77,8 @@ class Beside:
             process.kill()
             process.wait()
             assert process.stdin is not None
-            process.stdin.close()
+            with suppress(OSError):  # a question that it has not read is for nobody
+                process.stdin.close()
 
     def _done(self) -> Any:
         """What was asked, which is not wanted any more."""
@@ -113,11 +115,9 @@ class Beside:
             threading.Thread(target=self._listen, args=(self._process,), name="beside", daemon=True).start()
         self._asked, self._since = self._wanted, time.monotonic()
         assert self._process.stdin is not None
-        try:
+        with suppress(OSError):  # it has ended: its last line will tell
             self._process.stdin.write(json.dumps(self._asked).encode() + b"\n")
             self._process.stdin.flush()
-        except OSError:
-            pass  # it has ended: its last line will tell
 
     def _listen(self, process: subprocess.Popen[bytes]) -> None:
         output: BinaryIO = process.stdout  # type: ignore[assignment]
