@@ -30,6 +30,10 @@ Values = NDArray[np.float64]
 SHORTEST_SEGMENT = 0.3
 #: Signal kept of each segment for its spectrum [s]: the last part, where it has settled.
 _SPECTRUM_SECONDS = 0.5
+# What rings down loses more than this [dB/s]; squeal keeps its level. The detector is late by so many windows, whose
+# levels may be of what came after.
+_FALLING, _LATE = -3.0, 2
+_WORDS = {True: "squeal", False: "quiet", None: "no numbers"}
 _MODE_BAND = (200.0, 5000.0)
 #: Zone of an operating point for which it cannot be computed.
 NOT_AVAILABLE = "not available"
@@ -41,7 +45,8 @@ _MOST_ZONES = 200
 class Segment:
     """A stretch of the run with one operating point, squealing throughout or not at all; None: x is no number there.
 
-    Times in s since the first sample; shares of the samples whose truth is known; `signal` is the last part of x [m].
+    Times in s since the first sample; shares of the samples whose truth is known; `signal` is the last part of x
+    [m], `levels` are those of the detector's windows [dB re 1 um].
     """
 
     begin: float
@@ -55,14 +60,24 @@ class Segment:
     mu_ratio: list[float] = field(default_factory=list)
     mu_true: list[float] = field(default_factory=list)
     signal: list[Values] = field(default_factory=list)
+    levels: list[float] = field(default_factory=list)
     sample_rate: float = 0.0
     stability: StabilityReport | None = None
     zone: str = NOT_AVAILABLE
 
     @property
     def hard_squeal(self) -> bool:
-        """Whether it squeals where the eigenvalues call it stable."""
-        return bool(self.squealing) and self.stability is not None and not self.stability.unstable
+        """Whether it squeals for good where the eigenvalues call it stable."""
+        known_stable = self.stability is not None and not self.stability.unstable
+        return bool(self.squealing) and known_stable and not self.rings_down
+
+    @property
+    def rings_down(self) -> bool:
+        """Whether its level falls until its end, as after a hit that dies out: loud, and no squeal."""
+        if not self.squealing or len(self.levels) < _LATE + 3:
+            return False
+        before, last = self.levels[-_LATE - 3], self.levels[-_LATE - 1]
+        return (last - before) / (2.0 * SquealSettings().window) < _FALLING
 
     @property
     def duration(self) -> float:
@@ -219,6 +234,7 @@ class _Analyser:
         """The analysis, once all blocks were taken."""
         segments = [segment for segment in self._segments if segment.duration >= SHORTEST_SEGMENT]
         for segment in segments:
+            segment.levels = [level for t, _, level, _ in self._course.levels if segment.begin < t <= segment.end]
             for window in self._course.windows:
                 if segment.begin <= window["t_start"] and window["t_end"] <= segment.end:
                     segment.mu.append(window["mu"])
@@ -273,7 +289,7 @@ def segment_rows(analysis: Analysis) -> Iterator[dict[str, Any]]:
             "margin": s.margin if s else math.nan,
             "eigenvalues": "none" if s is None else "unstable" if s.unstable else "stable",
             "zone": segment.zone,
-            "rig": {True: "squeal", False: "quiet", None: "no numbers"}[segment.squealing],
+            "rig": "rings down" if segment.rings_down else _WORDS[segment.squealing],
             "mu set": segment.mu_set,
             "mu (2.2)": _mean(segment.mu),
             "mu ratio": _mean(segment.mu_ratio),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,8 @@ from squeal_rig.estimation.spectra import REFERENCE
 _QUIET, _SQUEAL, _LAW = "#4d4d4d", "#b2182b", "#2166ac"
 _TOP_FREQUENCY = 5000.0
 _LOWEST_LEVEL = -80.0
+# Share of the run that a label of an operating point needs.
+_LABEL_SHARE = 0.09
 
 
 PICTURES = (".png", ".pdf", ".svg")
@@ -76,15 +79,18 @@ def _operating_point(axis: Any, analysis: Analysis) -> None:
     axis.plot(t, course.block_column("preload"), color="k", label="preload F in force")
     axis.set_ylabel("F [N]")
     axis.set_ylim(bottom=0.0)
-    for segment in analysis.segments:
+    # One label for what is one operating point, squealing or not; none where there is no room for it.
+    for _, group in groupby(analysis.segments, lambda segment: segment.parameters):
+        segments = list(group)
+        segment, begin, end = segments[0], segments[0].begin, segments[-1].end
         s = segment.stability
-        if s is None or math.isnan(s.critical_pad_stiffness):
+        if s is None or math.isnan(s.critical_pad_stiffness) or end - begin < _LABEL_SHARE * analysis.duration:
             continue
         word = "unstable" if s.unstable else "stable"
         zone = "" if segment.zone == NOT_AVAILABLE else f"\nzone: {segment.zone}"
         axis.annotate(
             f"k/k$_{{cr}}$ = {s.pad_stiffness / s.critical_pad_stiffness:.2f}\n{word}{zone}",
-            (0.5 * (segment.begin + segment.end), 0.5),
+            (0.5 * (begin + end), 0.5),
             xycoords=("data", "axes fraction"),
             ha="center",
             va="center",

@@ -8,7 +8,9 @@ from rich.console import Console
 
 from squeal_rig.analysis.segments import analyse_bag
 from squeal_rig.configuration.files import config_directory
+from squeal_rig.estimation.hard_squeal import hard_squeal
 from squeal_rig.experiments.plan import load_plan
+from squeal_rig.model.parameters import RigParameters
 from squeal_rig.report.run_figure import draw_run
 from squeal_rig.report.tables import segment_table, zone_sentences
 from squeal_rig.session.replay_check import replay_and_compare
@@ -19,6 +21,9 @@ _REPLAY_RATE = 2.0
 
 def run_demo(bag: Path, console: Console) -> int:
     """Run the plan `demo` on a private ROS domain, record, replay, compare, draw; returns the exit code."""
+    # Compiled now where it never was: the plan's hits wait for it, and the bag would show a minute of nothing.
+    console.print("preparing: a first demo compiles the model, which takes about a minute")
+    hard_squeal(RigParameters(damping_x=20.0, damping_y=20.0))
     private_domain()
     watch = SignalWatch()
     config = config_directory() / "rig.yaml"

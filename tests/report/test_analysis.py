@@ -1,5 +1,6 @@
 """A recorded run analysed offline: written with the real writer from the real virtual rig, without ROS."""
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -102,6 +103,16 @@ def test_squeal_that_the_eigenvalues_call_stable_is_said_to_be_so(tmp_path: Path
     assert zone_sentences(analysis) == [
         "hard squeal: operating point 2 (zone: bistable) squeals where the eigenvalues call the rig stable"
     ]
+
+
+@pytest.mark.parametrize(("decay", "rig"), [(0.0, "squeal"), (0.85, "rings down")])
+def test_what_rings_down_after_a_hit_is_no_hard_squeal(tmp_path: Path, decay: float, rig: str):
+    """0.85 1/s is what c = 20 N s/m makes of free vibration, 7.4 dB/s."""
+    analysis = analyse_bag(record(tmp_path / "bag", PARAMETERS, {50: "impact"}, 160))
+    squeal = analysis.segments[1]
+    squeal.levels = [-20.0 * math.log10(math.e) * decay * 0.1 * n for n in range(10)]
+    assert list(segment_rows(analysis))[1]["rig"] == rig
+    assert len(zone_sentences(analysis)) == (rig == "squeal")
 
 
 def test_equal_operating_points_are_asked_for_their_zone_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
