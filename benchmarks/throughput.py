@@ -55,7 +55,7 @@ def propagation_speed() -> float:
     flow, block = empty_flow(), np.empty((512, 6))
     quiet = CASE.replace(preload=20.0)
     propagators(pack(quiet), 1.0 / RATE, flow)
-    linear = flow[:OFF_BELT].reshape(TERMS, -1)[:5, :4]
+    linear = flow[:OFF_BELT].reshape(TERMS, -1)[:5, 4:8]  # of one step
     drift, matrix = linear[0].copy(), linear[1:].T.ravel()
     state, blocks = START.copy(), int(SECONDS * RATE / len(block))
 

@@ -47,3 +47,11 @@ class DriverError(SquealRigError):
 
 class ExperimentError(SquealRigError):
     """A plan cannot be run, or a step of it did not reach its condition in time."""
+
+
+class NoHitError(ExperimentError):
+    """No hit starts squeal at this operating point, or none is needed."""
+
+
+class SafetyError(SquealRigError):
+    """The rig is stopped and may not move, or the supervisor cannot release it."""

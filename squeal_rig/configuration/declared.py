@@ -101,9 +101,10 @@ def checked(declaration: Declaration, value: object) -> Any:
         raise ParameterError(f"{name} = {value!r} is not {what}: it must be {declaration.bounds}")
     try:
         number = kind(value)
+        finite = math.isfinite(number)  # of an integer, whether a float can hold it
     except OverflowError:
         raise ParameterError(f"{name} = {value} is out of bounds: it must be {declaration.bounds}") from None
-    if not math.isfinite(number):
+    if not finite:
         raise ParameterError(f"{name} = {number}{unit} is not finite: it must be {declaration.bounds}")
     if not declaration.lower <= number <= declaration.upper:
         raise ParameterError(f"{name} = {number:.15g}{unit} is out of bounds: it must be {declaration.bounds}")

@@ -11,6 +11,8 @@ from pathlib import Path
 from squeal_rig.configuration.files import reason_of
 from squeal_rig.errors import DiskError
 
+_OTHERS_WRITE = 0o002
+
 
 @contextmanager
 def new_file(path: Path, force: bool = False) -> Iterator[Path]:
@@ -34,6 +36,11 @@ def new_file(path: Path, force: bool = False) -> Iterator[Path]:
             draft.unlink(missing_ok=True)
     except (OSError, ValueError, RuntimeError) as error:  # of h5py, pyarrow and matplotlib as well
         raise DiskError(f"Cannot write {path}: {reason_of(error)}.") from None
+
+
+def close_to_strangers() -> None:
+    """Let nobody but us and our group write what this process writes from now on, whatever mask it was started with."""
+    os.umask(os.umask(_OTHERS_WRITE) | _OTHERS_WRITE)
 
 
 def check_free(path: Path, force: bool) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from squeal_rig.configuration.arguments import assignments
-from squeal_rig.configuration.declared import Declared, quantity
+from squeal_rig.configuration.declared import Declared, declarations, quantity
 from squeal_rig.configuration.files import config_directory, load_yaml, yaml_mapping
 from squeal_rig.errors import ConfigurationError, ParameterError
 
@@ -163,6 +163,12 @@ class RigParameters(Declared):
             stiffness = changes.pop("pad_stiffness")
             changes = {"k1": stiffness, "k2": stiffness, **changes}
         return type(self).from_mapping(changes, self)
+
+
+#: Names of the parameters that may change while the rig is active.
+RUN_TIME_PARAMETERS = frozenset(
+    name for name, declaration in declarations(RigParameters).items() if declaration.concern in RUN_TIME_CONCERNS
+)
 
 
 def preset_names() -> list[str]:

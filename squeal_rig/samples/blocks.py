@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -9,10 +10,13 @@ from typing import Any
 from squeal_rig.errors import RecordingError
 from squeal_rig.instruments.channels import DAQ_CHANNELS, TRUTH_CHANNELS, block_from_cdr
 from squeal_rig.instruments.description import RigDescription
+from squeal_rig.instruments.numbering import samples_ahead
 from squeal_rig.recording import Bag, RawMessage, decoder_of
 from squeal_rig.recording.gaps import CLOUD_TYPE
 
-_MAX_TRUTHS = 16
+# Blocks that wait for their truth, and truths for their block: a recorder that was held up takes what has piled up
+# topic by topic. More than its queues hold (`graph.qos.BLOCKS_IN`).
+_MOST_WAITING = 512
 DESCRIPTION, DAQ, TRUTH = "rig/description", "daq/samples", "truth/samples"
 
 
@@ -72,8 +76,10 @@ class BlockJoiner:
                 raise RecordingError(f"{bag.path}: {topic.name} is {topic.type_name}, not {CLOUD_TYPE}")
         self._text = text_reader(bag, str(self.topics[DESCRIPTION]))
         self.rig: RigDescription | None = None
-        self._waiting: list[tuple[int, Any, int]] = []
+        self._waiting: deque[tuple[int, Any, int, RigDescription | None]] = deque()
         self._truths: dict[int, Any] = {}
+        self._last_block: int | None = None
+        self._last_truth: int | None = None
 
     @property
     def names(self) -> list[str]:
@@ -90,17 +96,25 @@ class BlockJoiner:
         if samples["seq"].dtype.kind not in "ui":
             raise RecordingError(f"{message.topic} numbers its samples in {samples['seq'].dtype}, not in whole numbers")
         if message.topic == self.topics[TRUTH]:
-            self._truths[int(samples["seq"][0])] = samples
+            self._last_truth = int(samples["seq"][0])
+            self._truths[self._last_truth] = samples
         else:
-            self._waiting.append((stamp, samples, message.log_time))
-        # Truth follows its block within the same callback of the rig: one block of patience is enough.
-        while self._waiting and self.rig is not None:
-            first = int(self._waiting[0][1]["seq"][0])
-            if first not in self._truths and self.topics[TRUTH] is not None and len(self._waiting) < 3:
-                break
+            seq = int(samples["seq"][0])
+            if self._last_block is not None and samples_ahead(seq, self._last_block) <= 0:
+                self._last_truth = None  # another run: the truths of the one before tell nothing of its blocks
+            self._last_block = seq
+            self._waiting.append((stamp, samples, message.log_time, self.rig))
+        while self._waiting and self.rig is not None and not self._truth_may_come():
             yield self._next(self.rig)
-        while len(self._truths) > _MAX_TRUTHS:  # those whose block was lost
+        while len(self._truths) > _MOST_WAITING:  # those whose block was lost
             self._truths.pop(next(iter(self._truths)))
+
+    def _truth_may_come(self) -> bool:
+        """Whether the truth of the block that has waited longest is not here, and can be on its way still."""
+        first = int(self._waiting[0][1]["seq"][0])
+        if first in self._truths or self.topics[TRUTH] is None or len(self._waiting) > _MOST_WAITING:
+            return False
+        return self._last_truth is None or samples_ahead(self._last_truth, first) < 0  # they come in order
 
     def rest(self) -> Iterator[RecordedBlock]:
         """Yield the blocks still waiting at the end of the bag."""
@@ -110,8 +124,8 @@ class BlockJoiner:
             yield self._next(self.rig)
 
     def _next(self, rig: RigDescription) -> RecordedBlock:
-        stamp, daq, log_time = self._waiting.pop(0)
-        return RecordedBlock(stamp, daq, self._truths.pop(int(daq["seq"][0]), None), rig, log_time)
+        stamp, daq, log_time, known = self._waiting.popleft()
+        return RecordedBlock(stamp, daq, self._truths.pop(int(daq["seq"][0]), None), known or rig, log_time)
 
 
 def recorded_blocks(bag: Bag) -> Iterator[RecordedBlock]:

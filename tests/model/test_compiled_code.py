@@ -63,9 +63,8 @@ for name, kernel in kernels.items():
     assert set(counts) == {"0"}
 
 
-@pytest.mark.parametrize(
-    "engine", [name if name == "rk4" else pytest.param(name, marks=pytest.mark.slow) for name in ENGINES]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ENGINES)
 def test_a_second_process_loads_compiled_code_and_does_not_compile(tmp_path, engine):
     code = SIMULATE.format(engine=engine)
     hits, misses, *first = python(code, NUMBA_CACHE_DIR=str(tmp_path))

@@ -1,5 +1,5 @@
-"""The same at length, run by `make test-slow` (ARGS=-s shows what was measured): thirty rigs, two hundred points by
-force, five hundred hits.
+"""The same at length, run by `make test-slow` and `make test-long` (ARGS=-s shows what was measured): thirty rigs, two
+hundred points by force, five hundred hits.
 """
 
 import math
@@ -32,9 +32,8 @@ from .hard_rigs import (
     zone_by_force,
 )
 
-pytestmark = pytest.mark.slow
 
-
+@pytest.mark.slow
 def test_thirty_branches_meet_the_flutter_threshold():
     rng = np.random.default_rng(11)
     for _ in range(30):
@@ -48,6 +47,7 @@ def test_thirty_branches_meet_the_flutter_threshold():
         assert np.max(found.points["volume_error"]) < 1e-9
 
 
+@pytest.mark.long
 def test_two_hundred_zones_agree_with_brute_force_but_for_thin_basins():
     rng = np.random.default_rng(5)
     thin = []
@@ -68,6 +68,7 @@ def test_two_hundred_zones_agree_with_brute_force_but_for_thin_basins():
     assert max(thin, default=0.0) < 0.1
 
 
+@pytest.mark.long
 def test_five_hundred_safe_hits_are_below_the_smallest():
     rng = np.random.default_rng(7)
     ratios = []
@@ -87,6 +88,7 @@ def test_five_hundred_safe_hits_are_below_the_smallest():
     assert np.median(ratios) > 0.5
 
 
+@pytest.mark.slow
 def test_settled_squeal_has_the_cycles_frequency_wherever_it_is_reached():
     rng = np.random.default_rng(9)
     compared, worst = 0, 0.0
@@ -111,6 +113,7 @@ def test_settled_squeal_has_the_cycles_frequency_wherever_it_is_reached():
     assert compared > 20
 
 
+@pytest.mark.slow
 def test_hits_beyond_the_engines_near_range_get_the_verdict_of_a_long_run():
     """Some settle on the squeal cycle, others on a motion ten times as large: neither dies out, neither is given up."""
     p = RigParameters(preload=50.0, belt_speed=1.0, k1=4e7, k2=4e7, damping_x=1000.0, damping_y=1000.0)

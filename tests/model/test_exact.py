@@ -125,7 +125,7 @@ def test_a_short_hop_between_two_samples_is_not_missed():
     limit=st.floats(0.1, 1.0),
     scale=st.sampled_from([-1e-9, 1.0, 3e5]),
 )
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_no_polynomial_changes_its_sign_before_its_first_zero(roots, limit, scale):
     coefficients = scale * np.polynomial.polynomial.polyfromroots(roots)
     found, is_zero = first_zero(coefficients, limit)
@@ -150,7 +150,7 @@ def test_no_polynomial_changes_its_sign_before_its_first_zero(roots, limit, scal
     hit=st.floats(0.3, 3.0),
     vx=st.floats(-0.05, 0.05),
 )
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_energy_balances_over_a_second(preload, belt_speed, pad_stiffness, angle_1, angle_2, damping, hit, vx):
     p = RigParameters().replace(
         preload=preload,
@@ -292,7 +292,7 @@ def test_arms_of_any_length_agree_with_dop853(length):
     hit=st.floats(-2.0, 4.0),
     vx=st.floats(-0.05, 0.05),
 )
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_without_friction_and_damping_time_can_be_reversed(pad_stiffness, preload, hit, vx):
     p = RigParameters().replace(pad_stiffness=pad_stiffness, preload=preload, **NO_FRICTION)
     start = displaced_state(p, hit)
@@ -315,7 +315,7 @@ def test_without_friction_and_damping_time_can_be_reversed(pad_stiffness, preloa
     belt_speed=st.floats(1.0, 4.0),
     hit=st.floats(1.5, 4.0),
 )
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_halving_the_sample_interval_leaves_the_first_20_events(pad_stiffness, preload, belt_speed, hit):
     p = RigParameters().replace(
         pad_stiffness=pad_stiffness, preload=preload, belt_speed=belt_speed, damping_x=20.0, damping_y=20.0

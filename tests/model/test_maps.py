@@ -80,7 +80,7 @@ def test_bounds_are_those_of_the_single_point(rig):
     angles=st.tuples(st.floats(-3.1, 3.1), st.floats(-3.1, 3.1)),
     damping=st.tuples(st.floats(0.0, 1e4), st.floats(0.0, 1e4)),
 )
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_roots_of_random_rigs_satisfy_the_characteristic_equation(mass, stiffness, clips, contact, angles, damping):
     p = RigParameters().replace(
         mass=mass,

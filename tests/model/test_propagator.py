@@ -50,11 +50,11 @@ def random_state(random, flow):
 def maps_of(flow, contact):
     """Polynomials (4 steps, 4 components, 35)."""
     table = flow[:OFF_BELT] if contact else flow[OFF_BELT:CONTACT_LIMITS]
-    return table.reshape(TERMS, AHEAD, 4).transpose(1, 2, 0)
+    return np.roll(table.reshape(TERMS, AHEAD, 4), -1, axis=1).transpose(1, 2, 0)
 
 
 @given(seed=SEEDS)
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_a_product_has_the_product_of_the_values(seed):
     random = np.random.default_rng(seed)
     a, b, out = np.zeros(TERMS), np.zeros(TERMS), np.zeros(TERMS)
@@ -68,7 +68,7 @@ def test_a_product_has_the_product_of_the_values(seed):
 
 
 @given(seed=SEEDS)
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_sixteen_polynomials_at_once_have_the_values_of_each(seed):
     random = np.random.default_rng(seed)
     polynomials, z, out = random.normal(size=(16, TERMS)), random.normal(size=4), np.zeros(16)
@@ -77,7 +77,7 @@ def test_sixteen_polynomials_at_once_have_the_values_of_each(seed):
 
 
 @given(seed=SEEDS)
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_composition_drops_only_terms_of_degree_4(seed):
     random = np.random.default_rng(seed)
     outer, inner = random.normal(size=(4, TERMS)), random.normal(size=(4, TERMS))
@@ -93,7 +93,7 @@ def test_composition_drops_only_terms_of_degree_4(seed):
 
 
 @given(seed=SEEDS, contact=st.booleans(), length=st.sampled_from([0.01, 0.1, 1.0]), k=st.floats(1e7, 1.2e8))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_maps_of_one_to_four_steps_agree_with_the_full_equations(seed, contact, length, k):
     q, flow, h = rig_and_maps(pad_stiffness=k, arm_length_1=length, arm_length_2=0.7 * length)
     start = random_state(np.random.default_rng(seed), flow)
@@ -107,7 +107,7 @@ def test_maps_of_one_to_four_steps_agree_with_the_full_equations(seed, contact, 
 
 
 @given(seed=SEEDS, contact=st.booleans(), k=st.floats(1e7, 1.2e8), preload=st.floats(0.0, 400.0))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_y_stays_within_its_bounds_of_the_chord(seed, contact, k, preload):
     q, flow, h = rig_and_maps(pad_stiffness=k, preload=preload)
     start = random_state(np.random.default_rng(seed), flow)

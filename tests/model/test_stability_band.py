@@ -100,7 +100,7 @@ CALIBRATED = RigParameters()
 LEANING = RigParameters(arm_angle_1=0.3, arm_angle_2=0.3, mu0=4.0, mu_speed=0.0, mu_preload=0.0, mu_speed_preload=0.0)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(rigs())
 @example(CALIBRATED)
 @example(LEANING)
@@ -110,7 +110,7 @@ def test_the_undamped_band_is_where_an_independent_scan_finds_growth(p):
     assert_band_is_the_scanned_one(p)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(rigs(damping="equal"))
 @example(CALIBRATED.replace(damping_x=20.0, damping_y=20.0))
 @example(LEANING.replace(damping_x=20.0, damping_y=20.0))
@@ -118,7 +118,7 @@ def test_the_band_with_equal_damping_is_where_an_independent_scan_finds_growth(p
     assert_band_is_the_scanned_one(p)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(rigs(damping="unequal"))
 @example(CALIBRATED.replace(damping_x=20.0, damping_y=60.0))
 @example(CALIBRATED.replace(damping_x=60.0, damping_y=20.0))
@@ -126,7 +126,7 @@ def test_the_band_with_unequal_damping_is_where_an_independent_scan_finds_growth
     assert_band_is_the_scanned_one(p)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(rigs(), st.booleans(), st.floats(0.1, 1000.0))
 def test_damping_of_one_direction_alone_gives_the_band_of_an_independent_scan(p, along, damping):
     p = p.replace(**{"damping_x" if along else "damping_y": damping})
@@ -140,7 +140,7 @@ def test_damping_of_one_direction_alone_gives_the_band_of_an_independent_scan(p,
     assert (grows[(k > lower * (1.0 + 1e-6)) & (k < upper * (1.0 - 1e-6))] > 0.99 * ROUNDING).all()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.floats(0.05, math.pi / 2 - 0.05), st.floats(0.05, 1.5), st.floats(0.1, 6.0), st.floats(0.0, 100.0))
 def test_arms_that_lean_along_the_belt_diverge_where_det_k_is_negative(angle, clips, friction, damping):
     """Parallel arms at 0..90 degrees: K_ab > 0, no flutter, det K linear in k."""
@@ -175,7 +175,7 @@ def test_arms_that_lean_along_the_belt_diverge_where_det_k_is_negative(angle, cl
     assert value.imag == 0.0
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.floats(0.05, math.pi / 2 - 0.05),
     st.floats(0.05, 1.5),

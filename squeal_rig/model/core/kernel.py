@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import hashlib
+import warnings
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import TypeVar, cast
 
 import numba
+
+from squeal_rig.model.core.code_cache import why_not_trusted
 
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -62,5 +66,16 @@ def _compiled(function: F, **more: object) -> F:
     try:
         compiled = numba.njit(cache=True, **options)(function)
     except RuntimeError:  # neither beside the source nor in the user's cache can be written: compiled at each start
+        return cast(F, numba.njit(**options)(function))
+    folder = Path(compiled.stats.cache_path)
+    if (reason := why_not_trusted(folder, Path(function.__code__.co_filename))) is not None:
+        _warn_once(reason)
         compiled = numba.njit(**options)(function)
     return cast(F, compiled)
+
+
+@cache
+def _warn_once(reason: str) -> None:
+    """Say why every start compiles anew; nothing is loaded or called before that."""
+    remedy = "The model is compiled at each start; NUMBA_CACHE_DIR names a folder of your own for it."
+    warnings.warn(f"Compiled code on disk is not used: {reason}. {remedy}", stacklevel=1)

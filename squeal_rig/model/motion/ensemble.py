@@ -172,6 +172,8 @@ def _summarise(
     flow, w = np.empty(FLOW_SIZE), np.zeros((ROWS, MAX_ORDER + 1))
     tally, events = np.zeros(TALLY_SIZE), np.empty((0, 2))
     block, state, sums = np.empty((_BLOCK, SAMPLE_SIZE)), np.empty(4), np.empty(_SUMS)
+    # Not a 0 in the calls: for a constant numba would compile the engine once more.
+    beginning = int(tally[CONTACT_TIME])
     for run in range(packed.shape[0]):
         q = packed[run]
         x, y, ending = rest_position(q)
@@ -184,7 +186,7 @@ def _summarise(
         ended = DONE
         for first in range(0, settling, _BLOCK):
             part = block[: min(_BLOCK, settling - first)]
-            ended, _ = advance_any(state, q, flow, substeps, w, tally, events, part, 0)
+            ended, _ = advance_any(state, q, flow, substeps, w, tally, events, part, beginning)
             if ended != DONE:
                 break
         tally[:] = 0.0
@@ -195,7 +197,7 @@ def _summarise(
             if ended != DONE:
                 break
             part = block[: min(_BLOCK, samples - first)]
-            ended, _ = advance_any(state, q, flow, substeps, w, tally, events, part, 0)
+            ended, _ = advance_any(state, q, flow, substeps, w, tally, events, part, beginning)
             if kept.shape[0] > 0 and ended == DONE:
                 kept[run, first : first + part.shape[0]] = part
             _add_block(part, first, x, y, previous, sums)

@@ -42,6 +42,7 @@ from squeal_rig.model.motion.propagator import (
     STEP,
     STEPS,
     TUBE,
+    place_in_path,
 )
 from squeal_rig.model.motion.series import MAX_ORDER, ROWS
 
@@ -194,11 +195,11 @@ def _cannot_cross(
 
 @inlined_kernel
 def first_not_passed(state: Vector, flow: Vector, kind: float) -> int:
-    """Where in the path kept from the last block the next state begins; at its end where it does not lead on."""
+    """How many numbers of the path kept from the last block are passed; all where it does not lead on."""
     k = int(flow[PASSED])
     for i in range(4):
         # A state that somebody changed meanwhile is on no path. At 0 there is nothing to compare with.
-        if k < 4 or flow[KIND] != kind or flow[PATH + k - 4 + i] != state[i]:
+        if k < 4 or flow[KIND] != kind or flow[PATH + place_in_path(k - 4) + i] != state[i]:
             return ALL_PASSED
     return k
 
@@ -240,7 +241,8 @@ def glide(
             normal = stiffness * max(0.0, edge - y)
             out[sample, 0], out[sample, 1], out[sample, 2], out[sample, 3] = x, y, vx, vy
             out[sample, 4], out[sample, 5] = normal, mu * normal
-        next_x, next_y, next_vx = path[k], path[k + 1], path[k + 2]
+        place = place_in_path(k)
+        next_x, next_y, next_vx = path[place], path[place + 1], path[place + 2]
         next_clear = low < next_y < high and abs(next_x) < near and next_vx < fastest
         if not (clear and next_clear):
             reach = max(abs(x), abs(y), abs(next_x), abs(next_y))
@@ -249,7 +251,7 @@ def glide(
                 state[0], state[1], state[2], state[3] = x, y, vx, vy
                 return n
         clear = next_clear
-        x, y, vx, vy = next_x, next_y, next_vx, path[k + 3]
+        x, y, vx, vy = next_x, next_y, next_vx, path[place + 3]
         k, past_sample = k + 4, past_sample + 1
         if past_sample == substeps:
             sample, past_sample = sample + 1, 0

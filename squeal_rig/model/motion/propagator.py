@@ -37,7 +37,7 @@ import math
 
 import numpy as np
 
-from squeal_rig.model.core.kernel import fused_kernel, kernel
+from squeal_rig.model.core.kernel import fused_kernel, inlined_kernel, kernel
 from squeal_rig.model.core.layout import (
     A1X,
     A1Y,
@@ -68,7 +68,8 @@ RATE_TIMES_STEP = 0.25
 
 #: Samples that one evaluation of the maps reaches.
 AHEAD = 4
-# Layout: the maps of one mode, (35, 16) row by row: coefficients of cubic.py by x, y, vx, vy after 1 to 4 steps.
+# Layout: the maps of one mode, (35, 16) row by row: coefficients of cubic.py by x, y, vx, vy after 4, 1, 2 and 3 steps.
+# The last first: the next evaluation starts from it, and the processor begins that while it computes the others.
 IN_CONTACT, OFF_BELT = 0, 560
 # Limits of a step, in contact and off the belt: |y''| in it is at most BOUND . (1, |x|, |y|, |vx|, |vy|), and y leaves
 # its chord by no more than TUBE where both ends are in the near range.
@@ -78,7 +79,8 @@ BOUND, TUBE = 0, 5
 GX, GY = 1132, 1139  # coefficients of xx, xy, yy, xxx, xxy, xyy, yyy in g
 NEAR, STEP, K_AA, K_AB, K_BB = 1146, 1147, 1148, 1149, 1150  # stiffness of arms and clips per mass
 # What goes on from block to block, and is worth nothing under other parameters: the maps' last values, the states after
-# the next four steps; where the first not yet passed begins, ALL_PASSED where there is none; and steps taken, modulo 4.
+# the next four steps in the maps' order (`place_in_path`); how many of its numbers are passed, in order of time,
+# ALL_PASSED where nothing is left; and steps taken, modulo 4.
 PATH, PASSED, STEPS = 1152, 1168, 1169
 ALL_PASSED = 16
 # What the path was made by: the maps, or one Taylor series, of which y leaves its chords by no more than PATH_TUBE.
@@ -95,6 +97,12 @@ _SHARES = np.array([0.5 - 0.5 * _ROOT, 0.5, 0.5 + 0.5 * _ROOT, 1.0, 1.0])
 _POWERS, _BY_SIZE = 5, 4
 _WEIGHTS = np.array([5.0 / 18.0, 8.0 / 18.0, 5.0 / 18.0])
 _EXPONENTIAL = 20  # numbers in one: the matrix, then the integral
+
+
+@inlined_kernel
+def place_in_path(passed: int) -> int:
+    """Where in the path the next state begins once `passed` numbers of it are passed: the last state stands first."""
+    return (passed + 4) & (ALL_PASSED - 1)
 
 
 @kernel
@@ -242,11 +250,11 @@ def _more_steps(flow: Vector) -> None:
 
 @fused_kernel
 def _file_maps(mode: int, flow: Vector) -> None:
-    """Put the coefficients into the order of `evaluate_all`."""
+    """Put the coefficients into the order of `evaluate_all`, those after four steps first."""
     o = IN_CONTACT if mode == 0 else OFF_BELT
     for t in range(TERMS):
         for n in range(4 * AHEAD):
-            flow[o + 4 * AHEAD * t + n] = flow[_MAPS + TERMS * n + t]
+            flow[o + 4 * AHEAD * t + (n + 4) % (4 * AHEAD)] = flow[_MAPS + TERMS * n + t]
 
 
 @fused_kernel

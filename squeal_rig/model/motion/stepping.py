@@ -49,6 +49,7 @@ from squeal_rig.model.motion.propagator import (
     SERIES,
     STEP,
     TUBE,
+    place_in_path,
 )
 from squeal_rig.model.motion.series import (
     EVENT,
@@ -227,7 +228,7 @@ def _careful_step(
 def _fill_path(state: Vector, q: Vector, flow: Vector, contact: bool, w: Vector) -> int:
     """Put the states after the next four steps into the path by one Taylor series, or after as many as it is good for.
 
-    Returns where in the path the first of them is: they are the last ones in it. At its end there is none.
+    Returns how many numbers of the path count as passed: those states are the last ones in it.
     """
     whole = AHEAD * flow[STEP]
     if not (abs(state[0]) + abs(state[1]) <= _FAR_M and abs(state[2]) + abs(state[3]) <= _FAR_M_S):
@@ -249,7 +250,7 @@ def _fill_path(state: Vector, q: Vector, flow: Vector, contact: bool, w: Vector)
         _evaluate_four(w, order, 1.0 / whole, flow[PATH:PASSED])
     else:
         for n in range(steps):
-            k = PATH + ALL_PASSED - 4 * (steps - n)
+            k = PATH + place_in_path(ALL_PASSED - 4 * (steps - n))
             evaluate(w, order, (n + 1.0) / AHEAD, whole, flow[k : k + 4])
     return ALL_PASSED - 4 * steps
 
@@ -266,10 +267,10 @@ def _evaluate_four(w: Vector, order: int, per_path: float, path: Vector) -> None
         v1, v2, v3, v4 = v1 * 0.25 + y1, v2 * 0.5 + y2, v3 * 0.75 + y3, v4 + y4
         x1, x2, x3, x4 = x1 * 0.25 + x, x2 * 0.5 + x, x3 * 0.75 + x, x4 + x
         y1, y2, y3, y4 = y1 * 0.25 + y, y2 * 0.5 + y, y3 * 0.75 + y, y4 + y
-    path[0], path[1], path[2], path[3] = x1, y1, u1 * per_path, v1 * per_path
-    path[4], path[5], path[6], path[7] = x2, y2, u2 * per_path, v2 * per_path
-    path[8], path[9], path[10], path[11] = x3, y3, u3 * per_path, v3 * per_path
-    path[12], path[13], path[14], path[15] = x4, y4, u4 * per_path, v4 * per_path
+    path[0], path[1], path[2], path[3] = x4, y4, u4 * per_path, v4 * per_path
+    path[4], path[5], path[6], path[7] = x1, y1, u1 * per_path, v1 * per_path
+    path[8], path[9], path[10], path[11] = x2, y2, u2 * per_path, v2 * per_path
+    path[12], path[13], path[14], path[15] = x3, y3, u3 * per_path, v3 * per_path
 
 
 @fused_kernel
@@ -303,12 +304,13 @@ def _glide_by_series(
             out[sample, 4], out[sample, 5] = normal, friction_ratio(state[2], q) * normal
         if k == ALL_PASSED:
             return n, False
-        next_y, tube = flow[PATH + k + 1], flow[PATH_TUBE]
+        place = PATH + place_in_path(k)
+        next_y, tube = flow[place + 1], flow[PATH_TUBE]
         room = min(edge - state[1], edge - next_y) if contact else min(state[1] - edge, next_y - edge)
         if not room > tube:
             return n, False
         for i in range(4):
-            state[i] = flow[PATH + k + i]
+            state[i] = flow[place + i]
         k, past_sample = k + 4, past_sample + 1
         if past_sample == substeps:
             sample, past_sample = sample + 1, 0

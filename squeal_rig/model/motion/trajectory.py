@@ -119,6 +119,11 @@ class Motion:
         """Copy of the state (x, y, vx, vy) [m, m/s] at the start of the next block."""
         return np.array(self._state)
 
+    @property
+    def packed(self) -> Vector:
+        """The parameters (28,) as the kernels see them, not to be written to."""
+        return self._packed
+
     def set_parameters(self, p: RigParameters) -> None:
         """Take new parameters from the next block on; the exact engine's propagators cost some 0.05 ms."""
         self.parameters = p
