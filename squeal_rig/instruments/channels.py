@@ -68,7 +68,13 @@ FRICTION_WINDOW_CHANNELS = (
     Channel("belt_speed", "m/s", "mean belt speed in force"),
     Channel("mu_true", "", "mean of the true friction coefficient; nan where no truth is published"),
     Channel("difference", "", "mu - mu_true"),
+    Channel("mu_corrected", "", "ratio of means with the pad's inertia in the denominator; nan in a window with a gap"),
+    Channel("mu_standard_error", "", "standard error of mu_ratio_of_means from its scatter within the window"),
+    Channel("arm_left", "N", "mean force in the left arm"),
+    Channel("arm_right", "N", "mean force in the right arm"),
 )
+#: What a window of any version has; later ones were appended.
+FRICTION_WINDOW_NEEDED = FRICTION_WINDOW_CHANNELS[:9]
 
 #: Force channels that a tare sets to zero.
 FORCE_CHANNELS = ("arm_left", "arm_right", "clip_left", "clip_right", "motor_torque")

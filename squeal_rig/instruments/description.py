@@ -13,16 +13,32 @@ from squeal_rig.errors import ConfigurationError, ParameterError
 from squeal_rig.instruments.settings import PresetChoice, RigSettings
 from squeal_rig.model.parameters import RigParameters
 
-_TARE = "tare_"
+# Prefixes of keys that hold one number a channel, with what the number is.
+_BY_CHANNEL = {
+    "tare": "what was subtracted of a channel",
+    "noise": "standard deviation of one sample of a channel",
+    "ripple": "amplitude of a channel's periodic deviation",
+    "full_scale": "largest magnitude a channel can show",
+    "correlation": "time over which a channel's noise stays alike",
+    "gain_error": "bound of a channel's gain error, as a share",
+    "offset_error": "bound of what a channel is off by at any reading, gain apart",
+}
+# What a number of a channel may be, in any unit.
+_LARGEST = 1e12
 _MAX_TEXT = 1 << 14  # ours has an eighth of it, and it is read while blocks arrive
 _TRUTH = Declaration(True, "whether truth/samples are published", name="publishes_truth")
 
 
 @dataclass(frozen=True)
 class RigDescription:
-    """What the rig is: preset, driver, parameters (set points), drum radius [m], sample rate [Hz], tare offsets.
+    """What the rig is: preset, driver, parameters (set points), drum radius [m], sample rate [Hz], instruments.
 
-    `publishes_truth` tells whether `truth/samples` is to be waited for. Tare offsets are by channel, in its unit.
+    `publishes_truth` tells whether `truth/samples` is to be waited for. By channel, in its unit: `tare`, what was
+    subtracted; and of the instruments' data sheets `noise`, the standard deviation of one sample, `ripple`, the
+    amplitude of periodic deviations of what is in force, and `full_scale`, the largest magnitude that can be shown;
+    `correlation`, the time [s] such that a mean over a longer T has the variance noise^2 correlation/T (one sample
+    where not named); `gain_error` and `offset_error`, the bounds of errors that are the same in all samples. A channel
+    that is not named has none of these and no end.
     """
 
     parameters: RigParameters
@@ -32,6 +48,13 @@ class RigDescription:
     sample_rate: int = 51200
     drum_radius: float = 0.05
     tare: Mapping[str, float] = field(default_factory=dict)
+    instruments: str = "ideal"
+    noise: Mapping[str, float] = field(default_factory=dict)
+    ripple: Mapping[str, float] = field(default_factory=dict)
+    full_scale: Mapping[str, float] = field(default_factory=dict)
+    correlation: Mapping[str, float] = field(default_factory=dict)
+    gain_error: Mapping[str, float] = field(default_factory=dict)
+    offset_error: Mapping[str, float] = field(default_factory=dict)
 
     def to_yaml(self) -> str:
         """Flat YAML: one key a line, every rig parameter among them."""
@@ -41,9 +64,12 @@ class RigDescription:
             "publishes_truth": self.publishes_truth,
             "sample_rate": self.sample_rate,
             "drum_radius": self.drum_radius,
+            "instruments": self.instruments,
         }
-        tare = {_TARE + channel: offset for channel, offset in self.tare.items()}
-        return yaml_mapping({**head, **self.parameters.as_mapping(), **tare})
+        by_channel = {
+            f"{kind}_{channel}": value for kind in _BY_CHANNEL for channel, value in getattr(self, kind).items()
+        }
+        return yaml_mapping({**head, **self.parameters.as_mapping(), **by_channel})
 
     def with_parameters(self, changes: Mapping[str, object]) -> RigDescription:
         """A copy with changed rig parameters."""
@@ -62,14 +88,20 @@ class RigDescription:
         values: dict[str, Any] = dict(content)
         try:
             parameters = RigParameters.from_mapping({name: values.pop(name) for name in declarations(RigParameters)})
-            tare = {
-                key[len(_TARE) :]: checked(Declaration(0.0, "tare of a channel", name=key), values.pop(key))
-                for key in list(values)
-                if key.startswith(_TARE)
+            by_channel: dict[str, Any] = {
+                kind: {
+                    key[len(kind) + 1 :]: checked(
+                        Declaration(0.0, what, name=key, lower=lowest, upper=_LARGEST), values.pop(key)
+                    )
+                    for key in list(values)
+                    if key.startswith(f"{kind}_")
+                }
+                for kind, what in _BY_CHANNEL.items()
+                for lowest in [-_LARGEST if kind == "tare" else 0.0]
             }
             known = {**declarations(RigSettings), **declarations(PresetChoice), _TRUTH.name: _TRUTH}
             for name in known.keys() & values.keys():
                 values[name] = checked(known[name], values[name])
-            return cls(parameters=parameters, tare=tare, **values)
+            return cls(parameters=parameters, **by_channel, **values)
         except (KeyError, TypeError, ValueError, ParameterError) as error:
             raise ConfigurationError(f"rig/description is not one of this version: {error}") from None

@@ -20,22 +20,50 @@ DRIVERS = "squeal_rig.drivers"
 
 
 @dataclass(frozen=True)
+class Capabilities:
+    """What a driver can do, told before it is opened.
+
+    Args:
+        set_points: rig parameters that it can move while it samples; a change of any other is refused meanwhile.
+        knows_truth: whether it reads the truth, which no hardware does.
+        can_hit: whether it can give the pad an impact.
+        keeps_time: whether its blocks carry the device's own time, and it can be late; else the rig counts.
+        not_measured: channels of `daq` that nobody measures on this rig, the clips of one without them for instance:
+            they carry a fixed value.
+    """
+
+    set_points: frozenset[str]
+    knows_truth: bool
+    can_hit: bool
+    keeps_time: bool = False
+    not_measured: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True)
 class Reading:
     """What a driver reads in one block.
 
     `daq` has the fields of `DAQ_RECORD`; a driver may append columns. `truth` has those of `TRUTH_RECORD`, or is None
-    where nobody knows the truth. `warnings` are sentences about samples whose physics is out of the model's range.
+    where nobody knows the truth. `warnings` are sentences about samples that are not to be believed as they are: the
+    physics out of the model's range, a time of the device that cannot be. `stamp` is the device's time of the first
+    sample [ns], None where the rig counts; `lost` is how many samples the device lost since the block before.
     """
 
     daq: Samples
     truth: Samples | None
     warnings: tuple[str, ...] = ()
+    stamp: int | None = None
+    lost: int = 0
 
 
 class Driver(Protocol):
-    """A rig that can be sampled. Every method may raise `DriverError`."""
+    """A rig that can be sampled. Every method may raise `DriverError`.
 
-    publishes_truth: bool
+    All but `make_safe` are called from one thread.
+    """
+
+    def capabilities(self, settings: RigSettings) -> Capabilities:
+        """What it can do with these settings; asked before it is opened."""
 
     def open(self, parameters: RigParameters, settings: RigSettings) -> None:
         """Take the machine's constants and get ready to sample."""
@@ -44,13 +72,22 @@ class Driver(Protocol):
         """Let go of the rig."""
 
     def reset(self) -> None:
-        """Bring the pad to rest at the equilibrium of the parameters in force."""
+        """Bring the pad to rest at the equilibrium of the parameters in force; it may move again after `make_safe`."""
 
     def impact(self, impulse_x: float, impulse_y: float) -> None:
         """Give the pad an impulse [N s] at the next block boundary."""
 
-    def read(self, in_force: RigParameters) -> Reading:
-        """The next block, with these parameters in force over all of it. `seq` and `t` are the caller's to fill."""
+    def read(self, in_force: RigParameters) -> Reading | None:
+        """The next block, with these parameters commanded over all of it; `seq` and `t` are the caller's to fill.
+
+        None where the device has no whole block yet: it is asked again, and nothing waits meanwhile.
+        """
+
+    def make_safe(self) -> None:
+        """Command no preload and a belt at rest, and return once that is accepted.
+
+        Called from any thread at any time, while `read` hangs too. Until `reset` what `read` is given is not commanded.
+        """
 
 
 def driver_class(name: str) -> type[Driver]:

@@ -9,6 +9,11 @@ SEQ_MODULUS = 2**32
 _SLACK = 0.01
 
 
+def samples_ahead(seq: int, expected: int) -> int:
+    """How many samples a number lies ahead of another, below zero behind it: `seq` wraps, so the nearer way counts."""
+    return (seq - expected + SEQ_MODULUS // 2) % SEQ_MODULUS - SEQ_MODULUS // 2
+
+
 class Numbering:
     """Numbers samples over a whole run, although `seq` wraps at 2^32.
 
@@ -27,7 +32,7 @@ class Numbering:
         seq, begin = int(daq["seq"][0]), stamp * 1e-9 + float(daq["t"][0])
         start, restarted = seq, False
         if self._end is not None:
-            gap = (seq - self._end + SEQ_MODULUS // 2) % SEQ_MODULUS - SEQ_MODULUS // 2
+            gap = samples_ahead(seq, self._end)
             restarted = not 0 <= gap / sample_rate <= max(begin - self._time, 0.0) + _SLACK
             self.restarts += restarted
             if not restarted:

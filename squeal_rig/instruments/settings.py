@@ -23,6 +23,18 @@ class RigSettings(Declared):
     """Settings of the node `rig`."""
 
     driver: str = quantity("virtual", "what stands behind the rig, as an installed package offers it", read_only=True)
+    driver_config: str = quantity(
+        "", "YAML file of the driver's own settings, which the driver reads; its defaults when empty", read_only=True
+    )
+    instruments: str = quantity(
+        "ideal",
+        "data sheets of the rig's instruments: a file of config/instruments/ without .yaml, or a path; the virtual rig"
+        " behaves by them, estimators take their tolerances from them",
+        read_only=True,
+    )
+    instruments_seed: int = quantity(
+        1, "seed of the virtual instruments' noise", lower=0, upper=2**31 - 1, read_only=True
+    )
     autostart: bool = quantity(True, "configure and activate the rig at start", read_only=True)
     sample_rate: int = quantity(
         51200,
@@ -80,6 +92,28 @@ class RigSettings(Declared):
         unit="rad",
         lower=-math.pi,
         upper=math.pi,
+    )
+
+    supervisor_required: bool = quantity(
+        False,
+        "it moves only while a supervisor's heartbeat comes, and a process beside watches that it can be stopped",
+        read_only=True,
+    )
+    heartbeat_timeout: float = quantity(
+        0.5,
+        "time without the supervisor's heartbeat after which the rig falls to its safe state",
+        unit="s",
+        lower=0.1,
+        upper=60.0,
+        read_only=True,
+    )
+    watchdog_timeout: float = quantity(
+        1.0,
+        "time that the rig's process cannot be stopped from within after which the process beside kills it",
+        unit="s",
+        lower=0.2,
+        upper=60.0,
+        read_only=True,
     )
 
     @property

@@ -30,8 +30,9 @@ def warm_up() -> None:
     damped = p.replace(damping_x=20.0)
     hittable = p.replace(damping_x=1000.0, damping_y=1000.0)
     rig = VirtualRig()
-    rig.open(p, RigSettings())
-    rig.close()
+    for instruments in ("ideal", "typical"):
+        rig.open(p, RigSettings(instruments=instruments))
+        rig.close()
     for rig_parameters in (p, slips, damped):
         equilibrium(rig_parameters, linear=True)
         stability_report(rig_parameters)

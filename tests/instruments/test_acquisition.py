@@ -1,5 +1,6 @@
 """Sampling a rig: stamps, sample numbers, slew, tare, impact, against the real virtual driver."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -7,7 +8,8 @@ import pytest
 
 from squeal_rig.configuration.declared import declarations
 from squeal_rig.errors import DriverError, ParameterError
-from squeal_rig.instruments.acquisition import Acquisition, change_refusal, slewed
+from squeal_rig.instruments.acquisition import Acquisition, change_refusal
+from squeal_rig.instruments.actuators import slewed
 from squeal_rig.instruments.channels import DAQ_RECORD, TRUTH_RECORD
 from squeal_rig.instruments.description import RigDescription
 from squeal_rig.instruments.means import block_means
@@ -143,7 +145,8 @@ def test_means_without_truth_agree_with_the_true_means_in_steady_sliding():
 
 
 def test_only_operating_point_and_friction_law_may_change_while_active():
-    allowed = {name for name in declarations(RigParameters) if change_refusal(name) is None}
+    can = VirtualRig().capabilities(RigSettings())
+    allowed = {name for name in declarations(RigParameters) if change_refusal(name, can) is None}
     assert {"preload", "belt_speed", "k1", "k2", "mu0", "friction_speed"} <= allowed
     assert not {"mass", "k3", "contact_stiffness", "arm_angle_1", "damping_x"} & allowed
 
@@ -161,3 +164,100 @@ def test_sample_rate_must_give_whole_blocks():
 def test_description_round_trips_through_yaml():
     description = RigDescription(PARAMETERS, 'a "name"', "virtual", False, 12800, 0.07, {"arm_left": -1.5e-7})
     assert RigDescription.from_yaml(description.to_yaml()) == description
+    noisy = dataclasses.replace(description, instruments="poor", noise={"x": 1e-9}, ripple={"preload": 0.5})
+    noisy = dataclasses.replace(noisy, full_scale={"arm_left": 500.0})
+    assert RigDescription.from_yaml(noisy.to_yaml()) == noisy
+
+
+def test_made_safe_the_preload_and_the_belt_come_to_nothing_until_reset():
+    rig = acquisition(preload_slew_rate=1e4, belt_acceleration=50.0)
+    rig.next_block()
+    rig.make_safe()
+    rig.set_point = PARAMETERS.replace(preload=80.0)  # not obeyed
+    for _ in range(20):
+        block = rig.next_block()
+    assert np.all(block.daq["preload"] == 0.0)
+    assert np.all(block.daq["belt_speed"] == 0.0)
+    rig.reset()
+    for _ in range(20):
+        block = rig.next_block()
+    assert np.all(block.daq["preload"] == 80.0)
+    assert np.all(block.daq["belt_speed"] == PARAMETERS.belt_speed)
+
+
+def test_what_had_not_come_to_rest_at_a_stop_is_not_taken_up_by_the_reset():
+    rig = acquisition(preload_slew_rate=10.0, belt_acceleration=0.1)
+    rig.next_block()
+    rig.make_safe()
+    rig.next_block()
+    rig.set_point = PARAMETERS.replace(preload=0.0, belt_speed=0.0)
+    rig.reset()
+    block = rig.next_block()
+    assert np.all(block.daq["preload"] == 0.0)
+    assert np.all(block.daq["belt_speed"] == 0.0)
+
+
+def test_set_points_are_not_in_force_where_the_driver_refuses_the_safe_command():
+    class Refusing(VirtualRig):
+        def make_safe(self):
+            raise OSError("the inverter does not answer")
+
+    rig = Acquisition(Refusing(), PARAMETERS, RigSettings(preload_slew_rate=1e4, belt_acceleration=50.0))
+    with pytest.raises(OSError, match="does not answer"):
+        rig.make_safe()
+    for _ in range(20):
+        rig.next_block()
+    assert (rig.in_force.preload, rig.in_force.belt_speed) == (0.0, 0.0)
+
+
+def test_what_a_device_lost_is_missing_from_the_numbers():
+    class Device(VirtualRig):
+        def read(self, in_force):
+            return dataclasses.replace(super().read(in_force), stamp=7_000_000_000, lost=3)
+
+    rig = Acquisition(Device(), PARAMETERS, RigSettings())
+    first, second = rig.next_block(), rig.next_block()
+    assert int(first.daq["seq"][0]) == 3
+    assert int(second.daq["seq"][0]) == int(first.daq["seq"][-1]) + 4
+    assert second.stamp == 7_000_000_000
+
+
+def test_a_device_without_a_block_yet_changes_nothing():
+    class Device(VirtualRig):
+        def read(self, in_force):
+            return None
+
+    rig = Acquisition(Device(), PARAMETERS, RigSettings())
+    rig.set_point = PARAMETERS.replace(preload=80.0)
+    assert rig.poll() is None
+    assert rig.samples == 0
+    assert rig.in_force.preload == PARAMETERS.preload
+    with pytest.raises(DriverError, match="no whole block"):
+        rig.next_block()
+
+
+def test_what_a_device_sampled_before_the_start_was_not_lost():
+    class Device(VirtualRig):
+        """A device with its own time that keeps what nobody has asked for."""
+
+        kept = 5
+
+        def capabilities(self, settings):
+            return dataclasses.replace(super().capabilities(settings), keeps_time=True)
+
+        def read(self, in_force):
+            if self.kept == 0:
+                return None
+            self.kept -= 1
+            return dataclasses.replace(super().read(in_force), stamp=self.kept, lost=1000 * self.kept)
+
+    device = Device()
+    rig = Acquisition(device, PARAMETERS, RigSettings())
+    for start in (0, 10**9):
+        device.kept = 5
+        before = rig.samples
+        rig.start(start)
+        assert rig.poll() is None
+        assert rig.samples == before
+        device.kept = 1
+        assert int(rig.next_block().daq["seq"][0]) == before

@@ -33,7 +33,7 @@ def test_the_virtual_rig_is_a_driver_like_any_other():
 def test_an_unknown_name_is_refused_with_those_there_are(packages):
     install(packages, "some-lab", "class Bench: pass\n", "bench = some_lab:Bench")
     assert driver_class("bench").__module__ == "some_lab"
-    with pytest.raises(DriverError, match=r"^driver = 'steam' is not known: there are bench, virtual$"):
+    with pytest.raises(DriverError, match=r"^driver = 'steam' is not known: there are bag, bench, opendaq, virtual$"):
         driver_class("steam")
 
 
