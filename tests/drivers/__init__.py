@@ -1,0 +1,1 @@
+"""Drivers beside the virtual one, the twin of the hardware, the contract suite."""
