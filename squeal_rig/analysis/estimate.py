@@ -29,7 +29,7 @@ from squeal_rig.estimation.stability_follower import (
     description_crc,
     summary_of,
 )
-from squeal_rig.instruments.channels import FRICTION_WINDOW_CHANNELS, block_from_cdr
+from squeal_rig.instruments.channels import FRICTION_WINDOW_NEEDED, block_from_cdr
 from squeal_rig.instruments.description import RigDescription
 from squeal_rig.recording import (
     Bag,
@@ -188,14 +188,14 @@ class _Estimation:
         self._friction.take_rig(block.rig)
         messages = self._friction.take_block(block.stamp, block.daq)
         with self.refusing():
-            self.stability.take_block(InForce.after(block.daq), block.log_time)
+            self.stability.take_block(InForce.after(block.daq, block.rig), block.log_time)
         if block.truth is not None:
             messages += self._friction.take_truth(block.truth)
         self._write(messages, block.log_time)
         for name, data in messages:
             if name == WINDOWS:
                 with self.refusing():
-                    self.stability.take_estimate(Estimate.of(block_from_cdr(data, FRICTION_WINDOW_CHANNELS).samples[0]))
+                    self.stability.take_estimate(Estimate.of(block_from_cdr(data, FRICTION_WINDOW_NEEDED).samples[0]))
 
     @contextmanager
     def refusing(self) -> Iterator[None]:
@@ -311,30 +311,43 @@ class TopicComparison:
 
 
 def compare_estimates(recorded: Bag, computed: Bag) -> list[TopicComparison]:
-    """Compare the estimated topics of both bags; floats must be equal bit for bit, padding does not count."""
+    """Compare the estimated topics of both bags; floats must be equal bit for bit, padding does not count.
+
+    Of samples and windows those fields count that the recorded bag has: later versions append some.
+    """
     comparisons = []
     for name in sorted(topic for topic in computed.topics if topic.endswith(tuple(ESTIMATED))):
         if name in recorded.topics:
-            first, second = _fingerprints(recorded, name), _fingerprints(computed, name)
+            fields = _cloud_fields(recorded, name)
+            first, second = _fingerprints(recorded, name, fields), _fingerprints(computed, name, fields)
             equal = sum((first & second).values())
             comparisons.append(TopicComparison(name, first.total(), second.total(), equal))
     return comparisons
 
 
-def _fingerprints(bag: Bag, topic: str) -> Counter[bytes]:
-    """Digests of all decoded fields of every message."""
+def _cloud_fields(bag: Bag, topic: str) -> tuple[str, ...]:
+    """Fields of a topic's samples as its first message has them; none where it is of another type, or empty."""
+    if bag.topics[topic].type_name != CLOUD_TYPE:
+        return ()
+    first = next(iter(bag.messages([topic])), None)
+    return samples_from_cdr(first.data).samples.dtype.names or () if first is not None else ()
+
+
+def _fingerprints(bag: Bag, topic: str, fields: tuple[str, ...]) -> Counter[bytes]:
+    """Digests of all decoded fields of every message; of samples the named ones."""
     known = bag.topics[topic]
     if known.type_name == CLOUD_TYPE:
-        return Counter(_cloud_fingerprint(message.data) for message in bag.messages([topic]))
+        return Counter(_cloud_fingerprint(message.data, fields) for message in bag.messages([topic]))
     decode = decoder_of(known.schema)
     # repr of a float tells every bit of it but those of a nan
     texts = (repr(as_mapping(decode(message.data))) for message in bag.messages([topic]))
     return Counter(hashlib.blake2b(text.encode(), digest_size=16).digest() for text in texts)
 
 
-def _cloud_fingerprint(data: bytes) -> bytes:
+def _cloud_fingerprint(data: bytes, fields: tuple[str, ...]) -> bytes:
     stamp, frame, samples = samples_from_cdr(data)
-    digest = hashlib.blake2b(f"{stamp} {frame} {samples.dtype.descr}".encode(), digest_size=16)
-    for name in samples.dtype.names or ():
+    kinds = [(name, samples.dtype[name].str) for name in fields if name in (samples.dtype.names or ())]
+    digest = hashlib.blake2b(f"{stamp} {frame} {kinds}".encode(), digest_size=16)
+    for name, _ in kinds:
         digest.update(samples[name].tobytes())
     return digest.digest()

@@ -12,10 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from squeal_rig.errors import ModelError, RecordingError
+from squeal_rig.estimation.confidence import PointMeans, half_width, mean_with_error, systematic_shifts
 from squeal_rig.estimation.friction import FrictionEstimator
 from squeal_rig.estimation.settings import FrictionSettings, SquealSettings
 from squeal_rig.estimation.spectra import amplitude_spectrum, peak_frequency
 from squeal_rig.estimation.squeal import SquealDetector
+from squeal_rig.estimation.tolerances import measured_point, point_tolerance, set_point_tolerance
+from squeal_rig.instruments.description import RigDescription
 from squeal_rig.model.core.law import friction_coefficient, friction_refusal
 from squeal_rig.model.cycles.zones import zone
 from squeal_rig.model.linear.eigen import StabilityReport, stability_report
@@ -64,6 +67,38 @@ class Segment:
     sample_rate: float = 0.0
     stability: StabilityReport | None = None
     zone: str = NOT_AVAILABLE
+    mu_corrected: list[float] = field(default_factory=list)
+    arms: list[tuple[float, float]] = field(default_factory=list)
+    preloads: list[float] = field(default_factory=list)
+    belt_speeds: list[float] = field(default_factory=list)
+    rig: RigDescription | None = None
+
+    @property
+    def mean_preload(self) -> float:
+        """Mean of the blocks' preloads [N]."""
+        return math.fsum(self.preloads) / len(self.preloads)
+
+    @property
+    def mean_belt_speed(self) -> float:
+        """Mean of the blocks' belt speeds [m/s]."""
+        return math.fsum(self.belt_speeds) / len(self.belt_speeds)
+
+    def confidence(self) -> tuple[float, float]:
+        """Half the 95 % interval of the mean ratio of means: of its scatter between windows, and of all that is known.
+
+        The scatter counts windows that are alike as fewer (`mean_with_error`); all that is known are the bounds of gain
+        and offset of the data sheets besides, which more windows do not shrink (`systematic_shifts`). nan where there
+        are fewer than two windows.
+        """
+        found = mean_with_error(self.mu_ratio)
+        if self.rig is None or not math.isfinite(found.standard_error):
+            return math.nan, math.nan
+        arms = [np.array([np.mean(side)]) for side in zip(*self.arms, strict=True)]
+        speed, preload = np.array([self.mean_belt_speed]), np.array([self.mean_preload])
+        shifts = systematic_shifts(self.rig, PointMeans(np.array([found.mean]), speed, preload, *arms))
+        bounds = [float(shift.mu[0]) for shift in shifts]
+        scatter = half_width(found.standard_error, found.freedom)
+        return scatter, half_width(found.standard_error, found.freedom, bounds)
 
     @property
     def hard_squeal(self) -> bool:
@@ -170,6 +205,8 @@ class _Analyser:
         self._rate = first.rig.sample_rate
         self._friction = FrictionEstimator(first.rig, FrictionSettings())
         self._squeal = SquealDetector(self._rate, SquealSettings())
+        self._squeal.take_rig(first.rig)
+        self._described = first.rig
         self._course = Course()
         self._segments: list[Segment] = []
         self._end = 0  # samples from the first one to the end of the newest block
@@ -182,6 +219,9 @@ class _Analyser:
         """Take the next block."""
         daq, rig = block.daq, block.rig
         self._friction.rig = rig
+        if rig is not self._described:
+            self._squeal.take_rig(rig)
+            self._described = rig
         seq = int(daq["seq"][0])
         missing = samples_missing(self._next_seq, seq)
         if missing is None:
@@ -208,17 +248,37 @@ class _Analyser:
             self._course.windows.append({**window.values, **times})
 
     def _segment_of(self, block: RecordedBlock, begin: float) -> Segment:
-        """The segment the block belongs to: a new one when the operating point or squeal has changed."""
-        p = block.rig.parameters.replace(
-            preload=float(block.daq["preload"][0]), belt_speed=float(block.daq["belt_speed"][0])
-        )
+        """The segment the block belongs to: a new one when the operating point or squeal has changed.
+
+        Where the rig has noise, a block's mean preload and speed may differ from the segment's by `point_tolerance`: of
+        blocks at one operating point it splits off wrongly the share `tolerances.FALSE_SPLIT`. A ramp splits where it
+        moves by more than that. A changed set point splits too.
+        """
+        preload, belt_speed = measured_point(block.rig, block.daq, exact=0)
+        p = block.rig.parameters.replace(preload=preload, belt_speed=belt_speed)
         state = self._squeal.state
         squealing = None if math.isnan(state.level) else state.detected
         last = self._segments[-1] if self._segments else None
-        if last is None or p != last.parameters or squealing != last.squealing:
-            last = Segment(begin, p, squealing, sample_rate=float(self._rate))
+        if last is None or squealing != last.squealing or not self._continues(last, p, block):
+            last = Segment(begin, p, squealing, sample_rate=float(self._rate), rig=block.rig)
             self._segments.append(last)
+        last.preloads.append(preload)
+        last.belt_speeds.append(belt_speed)
         return last
+
+    @staticmethod
+    def _continues(segment: Segment, p: RigParameters, block: RecordedBlock) -> bool:
+        """Whether a block with these measured parameters is of the segment's operating point."""
+        tolerance = point_tolerance(block.rig, len(block.daq), len(block.daq) * len(segment.preloads))
+        if tolerance.exact or segment.rig is None:
+            return p == segment.parameters
+        at = {"preload": p.preload, "belt_speed": p.belt_speed}
+        return (
+            segment.rig.parameters == block.rig.parameters
+            and segment.parameters.replace(**at) == p
+            and abs(p.preload - segment.mean_preload) <= tolerance.preload
+            and abs(p.belt_speed - segment.mean_belt_speed) <= tolerance.belt_speed
+        )
 
     def _extend(self, segment: Segment, block: RecordedBlock, end: float) -> None:
         segment.end = end
@@ -234,12 +294,15 @@ class _Analyser:
         """The analysis, once all blocks were taken."""
         segments = [segment for segment in self._segments if segment.duration >= SHORTEST_SEGMENT]
         for segment in segments:
+            _settle(segment)
             segment.levels = [level for t, _, level, _ in self._course.levels if segment.begin < t <= segment.end]
             for window in self._course.windows:
                 if segment.begin <= window["t_start"] and window["t_end"] <= segment.end:
                     segment.mu.append(window["mu"])
                     segment.mu_ratio.append(window["mu_ratio_of_means"])
                     segment.mu_true.append(window["mu_true"])
+                    segment.mu_corrected.append(window["mu_corrected"])
+                    segment.arms.append((window["arm_left"], window["arm_right"]))
             try:
                 segment.stability = stability_report(segment.parameters)
             except ModelError:
@@ -248,6 +311,24 @@ class _Analyser:
         duration = self._end / self._rate
         lost = self._friction.lost_samples
         return Analysis(title, self._rate, lost, self._restarts, segments, self._course, duration, no_zone)
+
+
+def _settle(segment: Segment) -> None:
+    """Give a segment of a rig with noise its operating point: the set point where the means tell no other one.
+
+    So the same operating point has the same parameters whenever it comes, and is judged alike.
+    """
+    if segment.rig is None:
+        return
+    p = segment.rig.parameters
+    tolerance = set_point_tolerance(segment.rig, segment.samples)
+    if point_tolerance(segment.rig, segment.samples).exact:
+        return
+    at = {"preload": segment.mean_preload, "belt_speed": segment.mean_belt_speed}
+    for name, mean in at.items():
+        if abs(mean - getattr(p, name)) <= getattr(tolerance, name):
+            at[name] = getattr(p, name)
+    segment.parameters = segment.parameters.replace(**at)
 
 
 def _find_zones(segments: list[Segment]) -> str:
@@ -293,6 +374,9 @@ def segment_rows(analysis: Analysis) -> Iterator[dict[str, Any]]:
             "mu set": segment.mu_set,
             "mu (2.2)": _mean(segment.mu),
             "mu ratio": _mean(segment.mu_ratio),
+            "mu corrected": _mean(segment.mu_corrected),
+            "± 95 % scatter": segment.confidence()[0],
+            "± 95 % with sheets": segment.confidence()[1],
             "mu true": _mean(segment.mu_true),
             "f squeal [Hz]": segment.squeal_frequency(),
             "f eigen [Hz]": s.squeal_frequency if s else math.nan,

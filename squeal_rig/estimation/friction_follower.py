@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from squeal_rig.estimation.friction import FrictionEstimator, FrictionWindow
-from squeal_rig.estimation.regression import MODEL_COLUMNS, FrictionRegression
+from squeal_rig.estimation.regression import INTERVAL_COLUMNS, MODEL_COLUMNS, FrictionRegression
 from squeal_rig.estimation.settings import FrictionSettings
 from squeal_rig.instruments.channels import FRICTION_SAMPLE_RECORD
 from squeal_rig.instruments.description import RigDescription
@@ -17,7 +17,7 @@ from squeal_rig.recording import cdr_from_samples
 from squeal_rig.recording.cdr import float64_message, multi_array_message
 
 SAMPLES, WINDOWS, MU, MODEL = "friction/samples", "friction/windows", "friction/mu", "friction/model"
-_MODEL_LABELS = "friction model", ", ".join(MODEL_COLUMNS)
+_MODEL_NAME = "friction model"
 
 Message = tuple[str, bytes]  # relative topic, serialised
 
@@ -29,12 +29,15 @@ class FrictionFollower:
         self._settings = settings
         self._estimator: FrictionEstimator | None = None
         self._regression = FrictionRegression()
+        self._intervals = False
 
     def take_rig(self, rig: RigDescription) -> None:
         """Take the rig's description; windows go on where the sample rate stays."""
         if self._estimator is None or self._estimator.rig.sample_rate != rig.sample_rate:
             self._estimator = FrictionEstimator(rig, self._settings)
         self._estimator.rig = rig
+        self._regression.take_rig(rig, self._estimator.window_samples, self._settings.minimum_normal_load)
+        self._intervals = bool(rig.noise)
 
     def take_block(self, stamp: int, daq: Samples) -> list[Message]:
         """Take a block of `daq/samples` [ns]; nothing comes of it before the rig is described."""
@@ -56,4 +59,5 @@ class FrictionFollower:
                 yield MU, float64_message(window.values["mu"])
             model = self._regression.fit() if self._regression.add_window(window.values) else None
             if model is not None:
-                yield MODEL, multi_array_message([model.row()], *_MODEL_LABELS)
+                columns = (*MODEL_COLUMNS, *INTERVAL_COLUMNS) if self._intervals else MODEL_COLUMNS
+                yield MODEL, multi_array_message([model.row(self._intervals)], _MODEL_NAME, ", ".join(columns))

@@ -52,6 +52,26 @@ class SquealSettings(Declared):
 
 
 @dataclass(frozen=True)
+class ToneSettings(Declared):
+    """Settings of squeal as tones: when a line is a tone, and a tone squeal. Band and levels are `SquealSettings`'."""
+
+    tone_window: float = quantity(
+        0.1,
+        "length of the windows tones are looked for in, which overlap by half",
+        unit="s",
+        lower=0.04,
+        upper=2.0,
+        read_only=True,
+    )
+    false_alarm: float = quantity(
+        1e-10, "probability that a line of white noise is taken for a tone", lower=1e-20, upper=0.1, read_only=True
+    )
+    least_duration: float = quantity(
+        0.1, "shortest tone that is called squeal", unit="s", lower=0.0, upper=60.0, read_only=True
+    )
+
+
+@dataclass(frozen=True)
 class StabilitySettings(Declared):
     """Settings of the stability node."""
 

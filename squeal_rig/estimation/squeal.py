@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from squeal_rig.errors import ParameterError
 from squeal_rig.estimation.settings import SquealSettings
-from squeal_rig.estimation.spectra import amplitude_spectrum, band_rms, level_db, peak_frequency
+from squeal_rig.estimation.spectra import REFERENCE, amplitude_spectrum, band_rms, level_db, peak_frequency
+from squeal_rig.estimation.tolerances import noise_level
+from squeal_rig.instruments.description import RigDescription
 from squeal_rig.instruments.driver import Samples
+from squeal_rig.instruments.numbering import SEQ_MODULUS
 
 
 @dataclass(frozen=True)
@@ -32,6 +36,10 @@ class SquealDetector:
     Windows follow one another by sample count; a gap in the samples starts a window anew, since a spectrum over a gap
     would be none of the rig's. A window with a value that is not finite gives no state, and `state` has no level then.
 
+    Where the rig's displacement has noise (`take_rig`), the mean square that noise alone exceeds with the probability
+    `tolerances.FALSE_ALARM` is added to those of both levels: a rig that does not squeal is not called squealing, and
+    squeal that has ended is called so. Levels in the states are what was measured, with the noise in them.
+
     Raises:
         ParameterError: the band reaches above half the sample rate.
     """
@@ -48,14 +56,25 @@ class SquealDetector:
         self._filled = 0
         self._expected: int | None = None
         self._stamp = 0
+        #: Levels [dB re 1 um] at which squeal begins and ends, noise considered.
+        self.on_level, self.off_level = settings.on_level, settings.off_level
         self.state = SquealState(0, False, level_db(0.0), float("nan"), None)
+
+    def take_rig(self, rig: RigDescription) -> None:
+        """Take the rig whose noise the levels are to stand out of."""
+        s, noise = self._settings, noise_level(rig, self._settings)
+        self.on_level, self.off_level = s.on_level, s.off_level
+        if noise:
+            self.on_level, self.off_level = (
+                level_db(math.sqrt(REFERENCE**2 * 10.0 ** (0.1 * level) + noise)) for level in (s.on_level, s.off_level)
+            )
 
     def add_samples(self, stamp: int, daq: Samples) -> list[SquealState]:
         """Take a block; returns the states of the windows it completed."""
         seq = int(daq["seq"][0])
         if self._expected is not None and seq != self._expected:
             self._filled = 0
-        self._expected = (seq + len(daq)) % 2**32
+        self._expected = (seq + len(daq)) % SEQ_MODULUS
         states, taken = [], 0
         while taken < len(daq):
             if self._filled == 0:
@@ -76,7 +95,7 @@ class SquealDetector:
         s = self._settings
         frequencies, amplitudes = amplitude_spectrum(self._signal, self._rate)
         level = level_db(band_rms(frequencies, amplitudes, s.band_low, s.band_high))
-        detected = level >= (s.off_level if self.state.detected else s.on_level)
+        detected = level >= (self.off_level if self.state.detected else self.on_level)
         frequency = peak_frequency(frequencies, amplitudes, s.band_low, s.band_high) if detected else float("nan")
         since = (self.state.since if self.state.detected else self._stamp) if detected else None
         self.state = SquealState(self._stamp, detected, level, frequency, since)

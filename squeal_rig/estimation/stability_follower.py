@@ -19,7 +19,9 @@ from squeal_rig.configuration.declared import checked, declarations
 from squeal_rig.errors import ModelError
 from squeal_rig.estimation import hard_squeal
 from squeal_rig.estimation.hard_squeal import Status
+from squeal_rig.estimation.tolerances import PointTolerance, measured_point, point_tolerance
 from squeal_rig.instruments.description import RigDescription
+from squeal_rig.instruments.settings import BLOCKS_PER_SECOND
 from squeal_rig.model.core.law import friction_coefficient, with_constant_friction
 from squeal_rig.model.linear.eigen import stability_report
 from squeal_rig.model.parameters import RigParameters
@@ -59,10 +61,12 @@ class InForce:
         checked(_BOUNDS["belt_speed"], self.belt_speed)
 
     @classmethod
-    def after(cls, daq: NDArray[np.void]) -> InForce:
-        """What is in force after a block of `daq/samples`."""
+    def after(cls, daq: NDArray[np.void], rig: RigDescription | None = None) -> InForce:
+        """What is in force after a block of `daq/samples`; where the rig has noise the block's means tell it."""
         last = daq[-1]
-        return cls(float(last["preload"]), float(last["belt_speed"]), int(last["seq"]))
+        if rig is None:
+            return cls(float(last["preload"]), float(last["belt_speed"]), int(last["seq"]))
+        return cls(*measured_point(rig, daq), int(last["seq"]))
 
 
 @dataclass(frozen=True)
@@ -133,6 +137,8 @@ class StabilityFollower:
         self._hard: tuple[RigParameters, Status] | None = None
         self._rig: RigDescription | None = None
         self._in_force: InForce | None = None
+        self._told: InForce | None = None
+        self._tolerance = PointTolerance()
         self._estimate: Estimate | None = None
         self._last = -math.inf
         self._due = False
@@ -140,11 +146,17 @@ class StabilityFollower:
     def take_rig(self, rig: RigDescription) -> None:
         """The rig's description has changed: a summary is due at once."""
         self._rig, self._due, self._last = rig, True, -math.inf
+        self._tolerance = point_tolerance(rig, rig.sample_rate // BLOCKS_PER_SECOND)
 
     def take_block(self, in_force: InForce) -> None:
-        """A block has come; a summary is due when it changed what is in force."""
-        known = self._in_force
-        moved = known is None or (known.preload, known.belt_speed) != (in_force.preload, in_force.belt_speed)
+        """A block has come; a summary is due when it changed what is in force, by more than noise does."""
+        # Without noise one differs from the block before; with it, from what was told last: slow ramps add up.
+        known = self._in_force if self._tolerance.exact else self._told
+        moved = (
+            known is None
+            or abs(known.preload - in_force.preload) > self._tolerance.preload
+            or abs(known.belt_speed - in_force.belt_speed) > self._tolerance.belt_speed
+        )
         self._in_force, self._due = in_force, self._due or moved
 
     def take_estimate(self, estimate: Estimate) -> None:
@@ -174,7 +186,7 @@ class StabilityFollower:
     def summary(self, now: float, stamp: int) -> list[Message]:
         """Make the summary of what is known, for a stamp [ns]; a description must have been taken."""
         assert self._rig is not None
-        self._last, self._due = now, False
+        self._last, self._due, self._told = now, False, self._in_force
         hard = None
         if self._looks:
             hard = hard_squeal.pending() if self._hard is None or self.lacks_hard_squeal() else self._hard[1]

@@ -81,7 +81,7 @@ def test_squeal_with_a_high_bound_has_invalid_samples_and_says_so():
     assert np.isfinite(values["mu"])
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.integers(0, 9), st.integers(1, 7))
 def test_windows_do_not_depend_on_when_one_joins(first: int, lag: int):
     p = DAMPED.replace(preload=300.0)

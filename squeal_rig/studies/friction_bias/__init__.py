@@ -1,0 +1,1 @@
+"""What each error of a rig's instruments does to the estimated friction coefficient."""
