@@ -16,6 +16,18 @@ from squeal_rig.graph.lifetime import STEADY, GuardedExecutor, described
 Health = tuple[bytes, str, Mapping[str, Any]]
 
 
+#: Key of a health value, before a topic: subscribers of it that no message is lost for from now on.
+LISTENERS = "listeners to "
+
+
+def listeners(publishers: Mapping[str, Any]) -> dict[str, int]:
+    """Health values: how many subscribers each publisher, by its topic, counts itself.
+
+    The graph knows of a subscriber before a publisher does: who must have the first message waits for this count.
+    """
+    return {LISTENERS + topic: publisher.get_subscription_count() for topic, publisher in publishers.items()}
+
+
 class HealthPublisher:
     """Publishes a node's health once a second of real time, whatever `/clock` does."""
 

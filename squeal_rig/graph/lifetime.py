@@ -19,6 +19,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.context import Context
 from rclpy.exceptions import InvalidNamespaceException, InvalidNodeNameException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -58,8 +59,8 @@ class GuardedExecutor(SingleThreadedExecutor):
     `errors` are callbacks that failed, `refused_requests` requests that did: those are answered with a refusal.
     """
 
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, context: Context | None = None) -> None:
+        super().__init__(context=context)
         self.errors = self.refused_requests = 0
         self._untold = self._untold_request = ""
         self._node: Node | None = None

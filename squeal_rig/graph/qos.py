@@ -12,6 +12,9 @@ BLOCKS_IN = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=400, reliability=R
 #: Windows, states, health: at most some ten a second.
 EVENTS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=20, reliability=ReliabilityPolicy.RELIABLE)
 
+#: The same of all nodes at once, as somebody takes them who must not miss one.
+EVENTS_IN = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=200, reliability=ReliabilityPolicy.RELIABLE)
+
 #: All that happened in a run, also for those who come late.
 RUN_EVENTS = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -27,3 +30,6 @@ LATCHED = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
+
+#: A sign of life: only the newest counts, and one that is lost does no harm.
+HEARTBEAT = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)

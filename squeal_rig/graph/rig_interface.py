@@ -15,6 +15,7 @@ from std_srvs.srv import SetBool, Trigger
 from squeal_rig.errors import SquealRigError
 from squeal_rig.graph import qos
 from squeal_rig.graph.conversions import cloud, joint_state, time_message, wrench
+from squeal_rig.graph.health import listeners
 from squeal_rig.instruments.acquisition import Block
 from squeal_rig.instruments.description import RigDescription
 from squeal_rig.instruments.means import block_means
@@ -68,11 +69,8 @@ class RigOutputs:
             self._samples[name] = self._node.create_publisher(PointCloud2, name, qos.BLOCKS)
 
     def listeners(self) -> dict[str, int]:
-        """Topic of samples -> subscribers that no block is lost for from now on.
-
-        The graph knows of a subscriber before a publisher does: who must have the first block waits for this count.
-        """
-        return {name: self._samples[name].get_subscription_count() for name in self._samples}
+        """Health values: subscribers to the samples."""
+        return listeners(self._samples)
 
     def describe(self, description: RigDescription) -> None:
         """Publish the description, latched."""

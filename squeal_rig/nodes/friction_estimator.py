@@ -13,7 +13,7 @@ from squeal_rig.errors import SquealRigError
 from squeal_rig.estimation.friction_follower import MODEL, MU, SAMPLES, WINDOWS, FrictionFollower, Message
 from squeal_rig.estimation.settings import FrictionSettings
 from squeal_rig.graph import qos
-from squeal_rig.graph.health import Health, HealthPublisher
+from squeal_rig.graph.health import Health, HealthPublisher, listeners
 from squeal_rig.graph.lifetime import Lifetime, run_node
 from squeal_rig.graph.parameters import NODE_OPTIONS, DeclaredParameters
 from squeal_rig.graph.rig_follower import RigFollower
@@ -55,7 +55,7 @@ class FrictionEstimatorNode(Node):
             self._outputs[name].publish(data)
 
     def _health(self) -> Health:
-        return self._rig.health({"windows": self._windows})
+        return self._rig.health({"windows": self._windows, **listeners(self._outputs)})
 
 
 def main(args: Sequence[str] | None = None) -> int:

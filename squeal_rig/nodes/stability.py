@@ -22,7 +22,7 @@ from squeal_rig.graph.health import Health, HealthPublisher
 from squeal_rig.graph.lifetime import STEADY, Lifetime, run_node
 from squeal_rig.graph.parameters import NODE_OPTIONS, DeclaredParameters
 from squeal_rig.graph.rig_follower import RigFollower
-from squeal_rig.instruments.channels import FRICTION_WINDOW_CHANNELS, block_from_cdr
+from squeal_rig.instruments.channels import FRICTION_WINDOW_NEEDED, block_from_cdr
 from squeal_rig.instruments.description import RigDescription
 from squeal_rig.instruments.driver import Samples
 from squeal_rig.model.parameters import RigParameters
@@ -41,6 +41,7 @@ class StabilityNode(Node):
         super().__init__("stability", **NODE_OPTIONS)
         self._declared = DeclaredParameters(self, (StabilitySettings(),), apply=self._on_settings)
         self._follower = StabilityFollower(self._settings.hard_squeal)
+        self._description: RigDescription | None = None
         answered = self.create_guard_condition(self._look_beside)
         self._beside = Beside(_BESIDE, answered.trigger)
         self.create_timer(_LOOK_EVERY, self._look_beside, clock=STEADY)
@@ -69,16 +70,17 @@ class StabilityNode(Node):
         self._publish_if_due()
 
     def _on_rig(self, rig: RigDescription) -> None:
+        self._description = rig
         self._follower.take_rig(rig)
         self._publish_if_due()
 
     def _on_block(self, _stamp: int, daq: Samples) -> None:
-        self._follower.take_block(InForce.after(daq))
+        self._follower.take_block(InForce.after(daq, self._description))
         self._publish_if_due()
 
     def _on_window(self, data: bytes) -> None:
         try:
-            self._follower.take_estimate(Estimate.of(block_from_cdr(data, FRICTION_WINDOW_CHANNELS).samples[0]))
+            self._follower.take_estimate(Estimate.of(block_from_cdr(data, FRICTION_WINDOW_NEEDED).samples[0]))
         except SquealRigError as error:
             self._rig.reject(error)
 

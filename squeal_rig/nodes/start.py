@@ -9,9 +9,21 @@ from __future__ import annotations
 import os
 import sys
 
-#: What is started in this way too, by the node `stability`.
-BESIDE = ("hard_squeal",)
-NODES = ("friction_estimator", "player", "recorder", "rig", "simulator", "squeal_detector", "stability")
+#: What is started in this way too, by the nodes `stability`, `rig` and `page`.
+BESIDE = ("hard_squeal", "watchdog", "operating_map")
+NODES = (
+    "foxglove",
+    "friction_estimator",
+    "page",
+    "player",
+    "recorder",
+    "rig",
+    "simulator",
+    "squeal_detector",
+    "stability",
+    "supervisor",
+    "view",
+)
 
 
 def start(name: str, session: bool = False) -> int:
@@ -19,9 +31,11 @@ def start(name: str, session: bool = False) -> int:
     # Here and not above: as a file we first have to put the import path right.
     from importlib import import_module
 
+    from squeal_rig.configuration.new_files import close_to_strangers
     from squeal_rig.graph import signals
 
     signals.watch()
+    close_to_strangers()
     if session:
         signals.end_with_stdin()
     code: int = import_module(f"squeal_rig.nodes.{name}").main()

@@ -17,7 +17,7 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import qos_profile_parameter_events
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import Float64, Float64MultiArray, String
+from std_msgs.msg import Float64, Float64MultiArray, String, UInt8
 from std_srvs.srv import SetBool, Trigger
 
 from squeal_rig.graph import qos
@@ -49,6 +49,11 @@ _TOPICS = {
     "stability/summary": (DiagnosticArray, qos.LATCHED),
     "stability/eigenvalues": (Float64MultiArray, qos.LATCHED),
     "squeal/state": (DiagnosticArray, qos.EVENTS),
+    "rig/safe": (DiagnosticArray, qos.LATCHED),
+    "emergency_stop": (String, qos.EVENTS),
+    "supervisor/state": (DiagnosticArray, qos.LATCHED),
+    "supervisor/trips": (DiagnosticArray, qos.RUN_EVENTS),
+    "supervisor/heartbeat": (UInt8, qos.HEARTBEAT),
     "/diagnostics": (DiagnosticArray, qos.EVENTS),
     "/parameter_events": (ParameterEvent, qos_profile_parameter_events),
 }
@@ -91,13 +96,13 @@ class Observer:
         while (left := deadline - time.monotonic()) > 0.0:
             self._executor.spin_once(timeout_sec=left)
 
-    def wait_for_listeners(self, topic, count, rig="rig"):
-        """Wait until the rig itself counts that many listeners to a topic of samples: it loses no block for them."""
+    def wait_for_listeners(self, topic, count, node="rig"):
+        """Wait until a node itself counts that many listeners to a topic of samples: it loses no block for them."""
         with self.following_for_a_while():
             health = self.follow("/diagnostics")
 
             def listeners():
-                found = health_of(health, rig.lstrip("/"))
+                found = health_of(health, node.lstrip("/"))
                 return found and int(found[2][f"listeners to {topic}"]) >= count
 
             self.wait_for(listeners, f"{count} listeners to {topic}")
@@ -163,7 +168,9 @@ class Observer:
         client = self._clients.get(name)
         if client is None:
             client = self._clients[name] = self.node.create_client(kind, name)
-            self._introduce(name.rpartition("/")[0], timeout)
+            node = name.rpartition("/")[0]
+            if node:
+                self._introduce(node, timeout)
         return self._answer(client, request, timeout, repeat)
 
     def _introduce(self, node, timeout):

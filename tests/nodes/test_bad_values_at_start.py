@@ -21,6 +21,10 @@ ON_THE_COMMAND_LINE = {
     "float_for_an_integer": ("simulator", parameters(sample_rate=51200.0), "sample_rate = 51200.0 is not an integer"),
     "unknown_key": ("simulator", parameters(preloda=50.0), "unknown parameter 'preloda': did you mean 'preload'?"),
     "unknown_preset": ("simulator", parameters(preset="none_such"), "no preset 'none_such': there are yavuz_sen_2023"),
+    "unknown_instruments": (
+        "simulator", parameters(instruments="best"), "instruments = 'best' is not known: there are ideal, poor, typical"
+    ),
+    "instruments_not_there": ("simulator", parameters(instruments="/none/such.yaml"), "cannot read /none/such.yaml"),
     "negative_friction": ("simulator", parameters(mu0=-1.0), "the friction law gives mu = -0.9007 at preload = 50 N"),
     "broken_block": ("simulator", parameters(sample_rate=51250), "sample_rate = 51250 Hz must be a multiple of 100 Hz"),
     "no_equilibrium": ("rig", parameters(k1=0.0, k2=0.0, k3=0.0, k4=0.0), "no equilibrium"),

@@ -8,8 +8,8 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 
-from squeal_rig.recording import Bag, samples_from_cdr
-from squeal_rig.session.replay_check import compared, recorded_windows
+from squeal_rig.recording import Bag, BagWriter, samples_from_cdr
+from squeal_rig.session.replay_check import compared, lost_spans, recorded_windows
 from tests.graph.processes import parameters
 from tests.graph.statuses import health_of, status_of
 
@@ -31,6 +31,8 @@ def live(compiled, processes, observer, config_file, tmp_path_factory):
     assert observer.transition("configure")
     for topic in ("daq/samples", "truth/samples"):
         observer.wait_for_listeners(topic, 2)
+    for topic in ("friction/samples", "friction/windows"):  # the recorder hears the estimator too
+        observer.wait_for_listeners(topic, 1, "friction_estimator")
     assert observer.transition("activate")
     assert observer.trigger("impact")[0]
 
@@ -155,6 +157,38 @@ def test_a_fresh_estimator_gives_the_same_windows_on_the_replay(live, replayed):
     comparison = compared(recorded_windows(live), list(recorded_windows(replayed)))
     assert comparison.live >= 10
     assert comparison.same, comparison
+
+
+def test_what_the_recorder_lost_is_told_apart_from_what_differs(live, tmp_path):
+    windows = recorded_windows(live)
+    assert lost_spans(live) == []
+    damaged = windows.copy()
+    damaged["mu"][[3, 4]] += 1e-12
+    assert not compared(windows, list(damaged)).same
+    begin, end = float(windows["t_start"][3]), float(windows["t_end"][4])
+    told = compared(windows, list(damaged), [(begin + 1e-4, end - 1e-4)])
+    assert (told.same, told.equal, told.incomplete) == (True, len(windows) - 2, (2, 2))
+    assert "2 hold samples that the recorder lost: the same" in told.sentence
+    assert not compared(windows, list(damaged), [(begin + 1e-4, begin + 2e-4)]).same
+    ((begin, end),) = lost_spans(_without_block(live, tmp_path / "gap", "/daq/samples", 7))
+    assert end - begin == pytest.approx(0.01)
+    assert lost_spans(_without_block(live, tmp_path / "no truth", "/truth/samples", 7)) == [(begin, end)]
+
+
+def _without_block(bag, directory, topic, lost):
+    """A copy of a bag without the block of that number of a topic."""
+    source, number = Bag(bag), 0
+    with BagWriter(directory) as writer:
+        handles = {
+            name: writer.add_topic(name, there.type_name, there.qos, there.schema)
+            for name, there in source.topics.items()
+        }
+        for message in source.messages():
+            number += message.topic == topic
+            if message.topic != topic or number != lost:
+                writer.write(handles[message.topic], message.data, message.log_time, message.publish_time)
+        writer.close("complete")
+    return directory
 
 
 def test_recorded_friction_samples_are_finite_and_as_many_as_measured(live):

@@ -20,12 +20,18 @@ def fail(where):
         raise ZeroDivisionError(f"no bridge voltage in {where}")
 
 class Bench(VirtualRig):
+    def capabilities(self, settings):
+        fail("capabilities")
+        return super().capabilities(settings)
+
     def open(self, parameters, settings):
         fail("open")
         super().open(parameters, settings)
 
     def read(self, in_force):
         fail("read")
+        if Path(__file__).with_name("nothing").exists():
+            return None
         return super().read(in_force)
 
     def reset(self):
@@ -92,3 +98,38 @@ def test_a_driver_that_fails_later_is_a_fault_that_can_be_mended(compiled, proce
     wait_for_fault("close")
     assert rig.end()[0] == 0
     assert "Traceback" not in rig.errors
+
+
+@pytest.mark.parametrize("where", ["capabilities", "open"])
+def test_a_driver_that_fails_before_it_is_opened_is_named_too(compiled, processes, bench_driver, where):
+    (bench_driver / where).touch()
+    rig = processes.node("rig", *parameters(driver="bench"))
+    assert rig.wait(60.0) == 2
+    assert f"rig: ZeroDivisionError: no bridge voltage in {where} (some_lab.py, line " in rig.errors
+
+
+def test_settings_for_a_driver_that_has_none_are_refused_at_start(compiled, processes, bench_driver):
+    file = bench_driver / "bench.yaml"
+    file.write_text("driver: bench\nvoltage: 5.0\n")
+    rig = processes.node("rig", *parameters(driver="bench", driver_config=file))
+    assert rig.wait(60.0) == 2
+    assert "unknown key 'voltage': the driver 'bench' has no settings of its own" in rig.errors
+
+
+def test_a_driver_without_a_block_is_told_with_its_time_and_the_rig_goes_on(
+    compiled, processes, observer, bench_driver
+):
+    rig = processes.node("rig", *parameters(driver="bench"))
+    blocks, health = observer.follow_samples("daq/samples"), observer.follow("/diagnostics")
+    observer.wait_for(lambda: blocks, "samples", 120.0)
+    (bench_driver / "nothing").touch()
+
+    def silent():
+        state = health_of(health, "rig")
+        return state and state[0] == ERROR and state[1].startswith("no samples from the driver for ")
+
+    observer.wait_for(silent, "a silent driver", 60.0)
+    (bench_driver / "nothing").unlink()
+    blocks.clear()
+    observer.wait_for(lambda: blocks, "samples again", 60.0)
+    assert rig.end()[0] == 0

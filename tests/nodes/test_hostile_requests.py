@@ -14,7 +14,7 @@ from rcl_interfaces.srv import GetParameterTypes, SetParameters, SetParametersAt
 from rosgraph_msgs.msg import Clock
 
 REFERENCE = Path(__file__).parents[2] / "bags" / "reference"
-NODES = ("rig", "friction_estimator", "stability", "squeal_detector", "recorder", "player")
+NODES = ("rig", "friction_estimator", "stability", "squeal_detector", "supervisor", "recorder", "player")
 NO_SUCH_TYPE = [Parameter(name="preload", value=ParameterValue(type=200))]
 WARN, ERROR = 1, 2
 
@@ -24,7 +24,7 @@ def nodes(compiled, processes, observer, tmp_path_factory, config_file):
     """Every node there is, all of them on a clock that the test may set."""
     clock = ["--params-file", str(config_file), *parameters(use_sim_time="true")]
     bag = tmp_path_factory.mktemp("hostile") / "run"
-    started = {name: processes.node(name, *clock) for name in NODES[1:4]}
+    started = {name: processes.node(name, *clock) for name in NODES[1:5]}
     started["recorder"] = processes.node("recorder", *clock, *parameters(directory=bag))
     started["player"] = processes.node(
         "player", *clock, *parameters(bag=REFERENCE, start_paused="true", wait_for_subscribers=0.0)

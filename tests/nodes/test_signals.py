@@ -10,7 +10,7 @@ from tests.made_bag import write_squeal
 
 pytest.importorskip("rclpy")
 
-NODES = ("rig", "simulator", "friction_estimator", "stability", "squeal_detector", "recorder", "player")
+NODES = ("rig", "simulator", "friction_estimator", "stability", "squeal_detector", "supervisor", "recorder", "player")
 SIGNALS = {
     "sigint": (signal.SIGINT,),
     "sigterm": (signal.SIGTERM,),

@@ -53,8 +53,7 @@ def test_a_signal_while_it_still_imports_ends_a_node_well(compiled, processes, n
         assert "Traceback" not in node.errors
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("name", ["simulator", "friction_estimator"])
+@pytest.mark.parametrize(("name", "number"), [("simulator", signal.SIGINT), ("friction_estimator", signal.SIGTERM)])
 def test_a_second_signal_at_any_moment_of_the_end_does_no_harm(compiled, processes, observer, name, number):
     codes = []
     for step in range(12):

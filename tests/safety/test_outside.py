@@ -1,0 +1,109 @@
+"""The process beside the rig, watching a process of ours: whom it kills, and whom it leaves alone."""
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import squeal_rig
+
+_START = str(Path(squeal_rig.__file__).parent / "nodes" / "start.py")
+# Beats for a while, then does what the test says.
+_WATCHED = """
+import os, sys, time
+from squeal_rig.safety.outside import Outside
+
+beside = Outside([sys.executable, sys.argv[1], "watchdog"], "", {}, 0.3)
+beside.arm(sys.argv[2] != "inactive")
+for _ in range(40):
+    beside.beat()
+    time.sleep(0.02)
+print("beaten", flush=True)
+if sys.argv[2] == "ends":
+    beside.close()
+elif sys.argv[2] == "dies":
+    os.kill(os.getpid(), 9)
+elif sys.argv[2] == "loses it":
+    beside._process.kill()
+    beside._process.wait()
+    assert not beside.running
+    beside._started = -100.0
+    beside.beat()
+    assert beside.running and beside.restarts == 1
+    time.sleep(60.0)
+elif sys.argv[2] == "inactive":
+    time.sleep(2.0)
+    beside.close()
+else:
+    time.sleep(60.0)
+"""
+
+
+@pytest.mark.parametrize(
+    ("what", "code", "said"),
+    [
+        ("ends", 0, ""),
+        ("inactive", 0, ""),
+        ("silent", -signal.SIGKILL, "silent for 0.3"),
+        ("loses it", -signal.SIGKILL, "silent for 0."),
+        ("dies", -signal.SIGKILL, "has ended while it drove the rig"),
+    ],
+)
+def test_who_is_silent_or_dies_while_it_drives_a_rig_is_stopped_from_outside(tmp_path, what, code, said):
+    errors = tmp_path / "errors"
+    with errors.open("wb") as stream:
+        watched = subprocess.Popen(
+            [sys.executable, "-c", _WATCHED, _START, what], stdout=subprocess.PIPE, stderr=stream, text=True
+        )
+        output, _ = watched.communicate(timeout=60.0)  # the process beside has no end of it
+    assert output == "beaten\n"
+    assert watched.returncode == code, errors.read_text()
+    for _ in range(200):
+        if said in errors.read_text():
+            break
+        subprocess.run(["sleep", "0.05"], check=True)
+    text = errors.read_text()
+    assert said in text
+    assert ("emergency stop from outside" in text) == bool(said)
+    assert "Traceback" not in text
+
+
+def test_a_watchdog_that_cannot_load_the_driver_says_so_and_is_never_ready(capfd):
+    from squeal_rig.safety.outside import Outside
+
+    beside = Outside([sys.executable, _START, "watchdog"], "no_such_driver", {}, 1.0)
+    try:
+        for _ in range(600):
+            if beside.failed:
+                break
+            time.sleep(0.05)
+        assert (beside.failed, beside.ready, beside.running) == (True, False, True)
+    finally:
+        beside.close()
+    assert "the watchdog cannot load the driver 'no_such_driver'" in capfd.readouterr().err
+
+
+def test_a_watchdog_that_cannot_be_started_again_ends_nobody(monkeypatch):
+    from squeal_rig.safety import outside
+
+    beside = outside.Outside([sys.executable, _START, "watchdog"], "", {}, 1.0)
+    try:
+        beside._process.kill()
+        beside._process.wait()
+        beside._started = -100.0
+
+        def refused(*_arguments, **_more):
+            raise OSError(11, "Resource temporarily unavailable")
+
+        with monkeypatch.context() as patched:
+            patched.setattr(outside.subprocess, "Popen", refused)
+            beside.beat()
+        assert (beside.running, beside.restarts) == (False, 1)
+        beside._started = -100.0
+        beside.beat()
+        assert (beside.running, beside.restarts) == (True, 2)
+    finally:
+        beside.close()
