@@ -8,6 +8,7 @@ from typing import Protocol
 
 from squeal_rig.experiments.plan import Plan
 
+RUN_STARTED, RUN_ENDED = "run started", "run ended"
 STEP_BEGUN, STEP_ENDED = "step begun", "step ended"
 
 
@@ -22,6 +23,9 @@ class Rig(Protocol):
 
     def smallest_hit(self) -> tuple[float, float]:
         """Smallest hit [N s] that starts squeal at the set point, and its direction [rad]."""
+
+    def change_springs(self, name: str, stiffness: float, dwell: float) -> str:
+        """Fit other springs [N/m], for which a mechanic has so long [s]; returns how that went."""
 
     def sampled_time(self) -> float:
         """Time sampled so far [s]."""
@@ -68,6 +72,11 @@ def run_plan(plan: Plan, rig: Rig, tell: Callable[[RunEvent], None]) -> None:
                 begin = max(begin, rig.sampled_time())
             call = "impact" if step.hit else step.call
             answer = rig.call(call) if call else ""
+            if step.spring:
+                spring = plan.springs[step.spring]
+                facts |= {"spring": step.spring, "stiffness [N/m]": spring.stiffness, "tolerance": spring.tolerance}
+                answer = rig.change_springs(step.spring, spring.stiffness, step.dwell)
+                begin = max(begin, rig.sampled_time())
             rig.wait_until(begin + step.wait)
         except BaseException as error:
             tell(RunEvent(STEP_ENDED, {**facts, "end [s]": rig.sampled_time(), "outcome": str(error)}, failed=True))

@@ -9,10 +9,13 @@ from pathlib import Path
 from squeal_rig.configuration.declared import checked, declarations, unknown_name
 from squeal_rig.configuration.files import load_yaml
 from squeal_rig.errors import ConfigurationError, ParameterError
+from squeal_rig.experiments.springs import Spring, load_springs
 from squeal_rig.model.parameters import RUN_TIME_CONCERNS, RigParameters
 
 CALLS = ("reset", "impact", "zero")
-_STEP_KEYS = ("note", "set", "call", "hit", "wait")
+_STEP_KEYS = ("note", "set", "call", "hit", "spring", "dwell", "wait")
+#: Time that a mechanic is given to change both springs [s], where a step does not say.
+DWELL = 600.0
 _LONGEST_WAIT = 86400.0
 _LARGEST_HIT = 100.0
 
@@ -22,7 +25,8 @@ class Step:
     """One step: set parameters, call a service of the rig, hit the pad, then wait [s of sampled time].
 
     Each may be left out. `hit` is an impact as a share of the smallest one that starts squeal at the set point, in its
-    direction; 0 is none.
+    direction; 0 is none. `spring` is a pair of the plan's catalogue to be fitted, for which a mechanic has the time
+    `dwell` [s]; it is empty where they stay.
     """
 
     note: str = ""
@@ -30,20 +34,24 @@ class Step:
     call: str = ""
     hit: float = 0.0
     wait: float = 0.0
+    spring: str = ""
+    dwell: float = DWELL
 
     @property
     def title(self) -> str:
         """The step in words."""
         what = self.call or (f"{self.hit:g} of the smallest hit" if self.hit else "wait")
+        what = f"fit the springs {self.spring!r}" if self.spring else what
         return self.note or ", ".join([*(f"{name} = {value}" for name, value in self.set.items()), what])
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A title and its steps."""
+    """A title and its steps, and the springs that there are, where a step fits some."""
 
     title: str
     steps: tuple[Step, ...]
+    springs: Mapping[str, Spring] = field(default_factory=dict)
 
     @property
     def duration(self) -> float:
@@ -61,10 +69,21 @@ def load_plan(path: Path | str) -> Plan:
     if not isinstance(content, dict) or not isinstance(content.get("steps"), list) or not content["steps"]:
         raise ConfigurationError(f"{path}: a plan is a mapping with a title and a list of steps")
     for key in content:
-        if key not in ("title", "steps"):
-            raise ConfigurationError(f"{path}: unknown key {key!r}: a plan has title and steps")
+        if key not in ("title", "springs", "steps"):
+            raise ConfigurationError(f"{path}: unknown key {key!r}: a plan has title, springs and steps")
     steps = tuple(_step(f"{path}, step {number}", raw) for number, raw in enumerate(content["steps"], 1))
-    return Plan(str(content.get("title", Path(path).stem)), steps)
+    title = str(content.get("title", Path(path).stem))
+    if "springs" not in content and not any(step.spring for step in steps):
+        return Plan(title, steps)
+    catalogue = content.get("springs")
+    if catalogue is not None and not isinstance(catalogue, str):
+        raise ConfigurationError(f"{path}: springs = {catalogue!r} is not the path of a catalogue")
+    springs = load_springs(catalogue)
+    for number, step in enumerate(steps, 1):
+        if step.spring and step.spring not in springs:
+            there = ", ".join(springs)
+            raise ConfigurationError(f"{path}, step {number}: spring = {step.spring!r} is not known: there are {there}")
+    return Plan(title, steps, springs)
 
 
 def _step(where: str, raw: object) -> Step:
@@ -76,16 +95,26 @@ def _step(where: str, raw: object) -> Step:
     call, wait, changes = raw.get("call", ""), raw.get("wait", 0.0), raw.get("set", {})
     if call and call not in CALLS:
         raise ConfigurationError(f"{where}: call = {call!r} is not known: it must be one of {', '.join(CALLS)}")
-    hit = raw.get("hit", 0.0)
-    for name, value, most, unit in (("wait", wait, _LONGEST_WAIT, " s"), ("hit", hit, _LARGEST_HIT, "")):
+    hit, spring, dwell = raw.get("hit", 0.0), raw.get("spring", ""), raw.get("dwell", DWELL)
+    for name, value, most, unit in (
+        ("wait", wait, _LONGEST_WAIT, " s"),
+        ("dwell", dwell, _LONGEST_WAIT, " s"),
+        ("hit", hit, _LARGEST_HIT, ""),
+    ):
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= most:
             raise ConfigurationError(f"{where}: {name} = {value!r} is out of bounds: it must be 0 to {most:g}{unit}")
     if hit and (call or changes):
         raise ConfigurationError(f"{where}: a hit is a step of its own: what was set has to be in force before it")
+    if not isinstance(spring, str):
+        raise ConfigurationError(f"{where}: spring = {spring!r} is not a name of the catalogue")
+    if spring and (call or changes or hit):
+        raise ConfigurationError(f"{where}: a change of springs is a step of its own: the rig stands meanwhile")
+    if "dwell" in raw and not spring:
+        raise ConfigurationError(f"{where}: dwell is the time to fit a spring, and there is none in this step")
     if not isinstance(changes, dict):
         raise ConfigurationError(f"{where}: set is a mapping of parameter names to values, got {changes!r}")
     try:
-        return Step(str(raw.get("note", "")), _changes(changes), call, float(hit), float(wait))
+        return Step(str(raw.get("note", "")), _changes(changes), call, float(hit), float(wait), spring, float(dwell))
     except ParameterError as error:
         raise ConfigurationError(f"{where}: {error}") from None
 

@@ -33,6 +33,11 @@ class Notebook:
         self.time += 0.5
         return 0.02, -1.2
 
+    def change_springs(self, name: str, stiffness: float, dwell: float) -> str:
+        self.time += 3.0  # it samples on for a while, then it stands
+        self.log.append(("springs", name, stiffness, dwell))
+        return "fitted by hand"
+
     def sampled_time(self) -> float:
         return self.time
 
@@ -65,6 +70,41 @@ def test_a_hit_is_a_share_of_the_smallest_one_and_its_wait_begins_with_it(tmp_pa
     assert told[0].facts["title"] == "0.5 of the smallest hit"
 
 
+def test_springs_of_the_catalogue_are_fitted_and_the_wait_begins_with_them(tmp_path):
+    path, drawer = tmp_path / "plan.yaml", tmp_path / "drawer.yaml"
+    drawer.write_text("blue: {stiffness: 3.1e+7, tolerance: 0.02}\n")
+    path.write_text(f"springs: {drawer}\nsteps:\n- {{spring: blue, wait: 2.0}}\n- {{spring: blue, dwell: 5}}\n")
+    rig, told = Notebook(), []
+    plan = load_plan(path)
+    assert plan.duration == 2.0  # a dwell is no sampled time
+    run_plan(plan, rig, told.append)
+    assert rig.log == [("springs", "blue", 3.1e7, 600.0), ("springs", "blue", 3.1e7, 5.0)]
+    facts = told[1].facts
+    assert (facts["stiffness [N/m]"], facts["tolerance"], facts["end [s]"]) == (3.1e7, 0.02, 10.0)
+    assert facts["answer"] == "fitted by hand"
+    assert told[0].facts["title"] == "fit the springs 'blue'"
+    assert check_file(drawer) == "a catalogue of 1 springs"
+    path.write_text("steps: [{spring: stiff}]")
+    assert load_plan(path).springs["stiff"].stiffness == 6e7  # the one that ships
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("blue: {stiffness: -1.0}", "blue: stiffness = -1 N/m is out of bounds"),
+        ("blue: {stiffness: 4.0e+7, tolerance: 3}", "tolerance = 3 is out of bounds: it must be 0 to 0.5"),
+        ("blue: {stiffness: 4.0e+7, colour: 3}", "unknown parameter 'colour'"),
+        ("blue: {stiffness: 4.0e+7}\nred: 3", "red: a spring is a mapping with a stiffness"),
+    ],
+)
+def test_a_bad_catalogue_of_springs_is_refused(tmp_path, text, sentence):
+    path = tmp_path / "springs.yaml"
+    path.write_text(text)
+    with pytest.raises(SquealRigError) as refused:
+        check_file(path)
+    assert sentence in str(refused.value)
+
+
 def test_a_refusal_ends_the_plan(tmp_path):
     class Refusing(Notebook):
         def call(self, service: str) -> str:
@@ -93,6 +133,12 @@ def test_a_refusal_ends_the_plan(tmp_path):
         ("steps: [{set: {preload: -1}}]", "step 1: preload = -1 N is out of bounds: it must be 0 to 2000 N"),
         ("steps: [{set: {preloud: 1}}]", "unknown parameter 'preloud': did you mean 'preload'?"),
         ("steps: [{set: {mass: 1}}]", "mass is a constant of the machine"),
+        ("steps: [{spring: blue}]", "step 1: spring = 'blue' is not known: there are soft, medium, stiff, rigid"),
+        ("springs: 3\nsteps: [{wait: 1}]", "springs = 3 is not the path of a catalogue"),
+        ("steps: [{spring: 3}]", "step 1: spring = 3 is not a name of the catalogue"),
+        ("steps: [{spring: soft, call: reset}]", "step 1: a change of springs is a step of its own"),
+        ("steps: [{dwell: 3}]", "step 1: dwell is the time to fit a spring"),
+        ("steps: [{spring: soft, dwell: -3}]", "step 1: dwell = -3 is out of bounds: it must be 0 to 86400 s"),
         ("steps: [{say: hello}]", "unknown key 'say'"),
         ("steps: [{wait: 1}]\nspeed: 3", "unknown key 'speed'"),
     ],
