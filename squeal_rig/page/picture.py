@@ -1,0 +1,362 @@
+"""What the page shows, kept up to date from the rig's messages and given out as messages to browsers."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from squeal_rig.configuration.declared import declarations
+from squeal_rig.estimation import hard_squeal
+from squeal_rig.estimation.stability_follower import IN_FORCE, SET_POINT
+from squeal_rig.instruments.description import RigDescription
+from squeal_rig.instruments.driver import Samples
+from squeal_rig.page.commands import settable
+from squeal_rig.page.packing import packed
+from squeal_rig.page.progress import Progress
+from squeal_rig.safety.settings import LIMITED, SupervisorSettings
+from squeal_rig.view.pictures import decimated, spectrum_lines
+from squeal_rig.view.window import LastSamples
+
+#: (level, sentence, values) of a diagnostic status.
+Status = tuple[int, str, Mapping[str, str]]
+
+POINTS = 500
+SPECTRUM_HIGH = 10_000.0  # Hz
+_SPECTRUM_WINDOW = 0.2  # s
+#: Length of the trends and of the spectrogram [s], columns a second, lines of a column.
+TREND, COLUMNS_PER_SECOND, COLUMN_LINES = 60.0, 4, 125
+#: Levels [dB re 1 um] between which a spectrogram has its colours.
+DARK_DB, BRIGHT_DB = -90.0, 20.0
+_GONE = 3.5  # a node whose health is older [s] is gone
+_MOST_EVENTS = 50
+_MOST_NODES = 64
+# Quantities that the supervisor limits, each named <quantity>_<one of the levels> where it has a limit of that level.
+_LIMITED, _LEVELS = (*LIMITED, "squeal", "stale"), ("warn", "ramp_down", "stop")
+
+
+class SquealTable:
+    """Squeals as rows: begin and end [s since the epoch], frequency [Hz], level [dB re 1 um], F [N], V [m/s].
+
+    The level is the greatest, the frequency and the operating point are those at that time; `end` is None while it
+    lasts.
+    """
+
+    def __init__(self) -> None:
+        self.rows: deque[dict[str, float | None]] = deque(maxlen=_MOST_EVENTS)
+
+    def take(self, stamp: float, detected: bool, level: float, frequency: float, point: tuple[float, float]) -> None:
+        """Take a state of the squeal detector."""
+        last = self.rows[-1] if self.rows and self.rows[-1]["end"] is None else None
+        if last is not None and not detected:
+            last["end"] = stamp
+        if not detected:
+            return
+        loudest = {"level": level, "frequency": frequency, "preload": point[0], "belt_speed": point[1]}
+        if last is None:
+            self.rows.append({"begin": stamp, "end": None, **loudest})
+        elif level > (last["level"] or -math.inf):
+            last.update(loudest)
+
+
+class Picture:
+    """The rig as the page shows it. What feeds it and what asks it may be different threads.
+
+    Args:
+        control: whether commands are taken.
+        bag: name of the bag that is shown; empty for a live rig.
+        duration: length of the bag [s].
+        namespace: the rig's, with a slash at its end where it is not empty; health of other rigs is only listed.
+    """
+
+    def __init__(self, control: bool, bag: str = "", duration: float = 0.0, namespace: str = "") -> None:
+        self._lock = threading.RLock()
+        self._control, self._bag, self._duration, self._namespace = control, bag, duration, namespace
+        self._description: RigDescription | None = None
+        self._daq: Samples | None = None
+        self._window: LastSamples | None = None
+        self._columns: deque[NDArray[np.uint8]] = deque(maxlen=round(TREND * COLUMNS_PER_SECOND))
+        self._sampled = self._next_column = 0.0
+        self._mu: deque[tuple[float, float, float, float]] = deque(maxlen=round(TREND * 10))
+        self._level: deque[tuple[float, float]] = deque(maxlen=round(TREND * 20))
+        self._numbers: dict[str, Any] = {}
+        self._nodes: dict[str, tuple[float, Status]] = {}
+        self._squeals = SquealTable()
+        self._told: dict[str, Any] = {}
+        self._progress, self._run_is_heard = Progress(), True
+        self._limits: dict[str, Any] = {}
+        self._came = time.monotonic()
+        self._trips: deque[str] = deque(maxlen=20)
+        self._blocks = self.changes = 0
+
+    # --- what comes in
+
+    def take_rig(self, rig: RigDescription) -> None:
+        """Take the rig's description."""
+        with self._lock:
+            if self._description is None or rig.sample_rate != self._description.sample_rate:
+                self._window = LastSamples(max(2, round(_SPECTRUM_WINDOW * rig.sample_rate)))
+            self._description = rig
+
+    def take_block(self, daq: Samples) -> None:
+        """Take a block of `daq/samples`."""
+        with self._lock:
+            self._daq = daq
+            self._blocks += 1
+            self._came = time.monotonic()
+            if self._window is None or self._description is None:
+                return
+            self._window.add(int(daq["seq"][0]), daq["x"])
+            self._sampled += len(daq) / self._description.sample_rate
+            if self._sampled >= self._next_column:
+                self._next_column += 1.0 / COLUMNS_PER_SECOND
+                samples = self._window.whole()
+                sound = samples is not None and bool(np.isfinite(samples).all())
+                # A column without samples is dark: those before it keep their distance from now.
+                self._columns.append(
+                    column(samples, self._description.sample_rate)
+                    if sound and samples is not None
+                    else np.zeros(COLUMN_LINES, np.uint8)
+                )
+
+    def take_window(self, t: float, mu: float, ratio_of_means: float, true: float) -> None:
+        """Take friction of a window that ended at t [s]."""
+        with self._lock:
+            self._mu.append((t, mu, ratio_of_means, true))
+
+    def take_stability(self, statuses: Mapping[str, Status]) -> None:
+        """Take a stability summary: name -> status."""
+        found = statuses.get(IN_FORCE) or statuses.get(SET_POINT)
+        with self._lock:
+            if found is not None:
+                self._numbers |= {
+                    "unstable": found[1] == "unstable",
+                    "mu_set": number(found, "mu"),
+                    "margin": number(found, "margin"),
+                    "critical_stiffness": number(found, "k_cr [N/m]"),
+                    "pad_stiffness": number(found, "k [N/m]"),
+                }
+            hard = statuses.get(hard_squeal.NAME)
+            if hard is not None:
+                self._numbers |= {
+                    "zone": hard[2].get(hard_squeal.ZONE, hard[2].get(hard_squeal.STATE_KEY, "")),
+                    "smallest_hit": number(hard, hard_squeal.SMALLEST_HIT),
+                    "hit_direction": number(hard, hard_squeal.HIT_DIRECTION),
+                }
+
+    def take_squeal(self, stamp: float, status: Status) -> None:
+        """Take a state of the squeal detector, of a time [s since the epoch]."""
+        level, frequency = number(status, "level [dB re 1 um]"), number(status, "frequency [Hz]")
+        detected = status[2].get("detected") == "true"
+        with self._lock:
+            self._level.append((stamp, max(level, -200.0) if math.isfinite(level) else math.nan))
+            self._numbers |= {"squealing": detected, "level": level, "frequency": frequency}
+            self._numbers |= {
+                "tones": status[2].get("tones [Hz]", "")[:100],
+                "events": number(status, "events"),
+                "growth": number(status, "event growth [1/s]"),
+            }
+            self._squeals.take(stamp, detected, level, frequency, self._point())
+
+    def take_health(self, name: str, status: Status) -> None:
+        """Take a node's health."""
+        with self._lock:
+            if name in self._nodes or len(self._nodes) < _MOST_NODES:
+                self._nodes[name] = (time.monotonic(), status)
+
+    def take_told(self, what: str, status: Status) -> None:
+        """Take the last word of `supervisor` or of `safe` (the rig's way to stop)."""
+        with self._lock:
+            self._told[what] = {"level": status[0], "message": status[1], "values": dict(status[2])}
+
+    def take_run(self, stamp: float, status: Status) -> None:
+        """Take what is told of a run, a plan or a campaign, at a time [s since the epoch]."""
+        level, message, values = status
+        with self._lock:
+            self._progress.take(stamp, level, message, values)
+
+    def take_run_is_heard(self, heard: bool) -> None:
+        """Whether there is anybody who would tell more of a run."""
+        self._run_is_heard = heard
+
+    def take_limits(self, values: Mapping[str, Any]) -> None:
+        """Take parameters of the supervisor, all of them or those that have changed."""
+        known = [f"{quantity}_{level}" for quantity in _LIMITED for level in _LEVELS]
+        with self._lock:
+            self._limits |= {name: values[name] for name in known if isinstance(values.get(name), int | float)}
+
+    def take_trip(self, sentence: str) -> None:
+        """Take a trip of the supervisor."""
+        with self._lock:
+            self._trips.append(sentence)
+
+    def forget(self) -> None:
+        """Forget what came, as before another piece of a bag is shown."""
+        with self._lock:
+            self._columns.clear()
+            self._mu.clear()
+            self._level.clear()
+            self._squeals.rows.clear()
+            self._numbers.clear()
+            self._progress = Progress()
+
+    @property
+    def rig(self) -> RigDescription | None:
+        """The rig's description, once it has come."""
+        return self._description
+
+    def replace_columns(self, columns: list[NDArray[np.uint8]]) -> None:
+        """Show these columns as the spectrogram."""
+        with self._lock:
+            self._columns.clear()
+            self._columns.extend(columns)
+
+    # --- what goes out
+
+    def hello(self) -> bytes:
+        """What a browser is told first: what can be set, within which bounds, and whether it may."""
+        declared = [
+            {
+                "name": name,
+                "unit": found.unit,
+                "what": found.description,
+                "lower": found.lower,
+                "upper": found.upper,
+                "options": list(found.options),
+                "bounds": found.bounds if found.kind is not str else "",
+            }
+            for name, found in settable().items()
+        ]
+        values = {
+            "control": self._control,
+            "live": not self._bag,
+            "source": self._bag or "live",
+            "namespace": self._namespace,
+            "duration": self._duration,
+            "declared": declared,
+            "dark": DARK_DB,
+            "bright": BRIGHT_DB,
+            "high": SPECTRUM_HIGH,
+            "trend": TREND,
+        }
+        return packed("hello", values)
+
+    def frame(self) -> bytes | None:
+        """Traces of the newest block and the spectrum; None where nothing new has come."""
+        with self._lock:
+            daq, rig, window = self._daq, self._description, self._window
+            if daq is None or rig is None or window is None:
+                return None
+            samples = window.whole()
+            self._daq = None
+        x, step = decimated(daq["x"], POINTS)
+        y, _ = decimated(daq["y"], POINTS)
+        arrays = {"x": 1e6 * x, "y": 1e6 * y}
+        high = SPECTRUM_HIGH
+        if samples is not None and np.isfinite(samples).all():
+            lines = spectrum_lines(samples, rig.sample_rate, SPECTRUM_HIGH, POINTS)
+            arrays["spectrum"], high = lines.levels, float(lines.frequencies[-1])
+        values = {
+            "rate": rig.sample_rate / step,
+            "high": high,
+            "preload": float(daq["preload"][-1]),
+            "belt_speed": float(daq["belt_speed"][-1]),
+            "seq": int(daq["seq"][-1]),
+        }
+        with self._lock:
+            self._numbers |= {"preload": values["preload"], "belt_speed": values["belt_speed"]}
+        return packed("frame", values, arrays)
+
+    def state(self) -> bytes:
+        """Everything else: numbers, nodes, squeals, trends, the spectrogram. Each message is whole in itself."""
+        with self._lock:
+            now = time.monotonic()
+            known = [f"{self._namespace}{name}" for name in ("rig", "recorder")]
+            nodes = [
+                {
+                    "name": name,
+                    "level": level if now - heard < _GONE else 3,
+                    "message": message if now - heard < _GONE else f"gone: not heard for {now - heard:.0f} s",
+                    "values": dict(values) if name in known else {},
+                }
+                for name, (heard, (level, message, values)) in sorted(self._nodes.items())
+            ]
+            rig = self._description
+            set_points = (
+                {}
+                if rig is None
+                else {name: getattr(rig.parameters, name) for name in settable() if hasattr(rig.parameters, name)}
+            )
+            mu = np.array(self._mu, float).reshape(-1, 4)
+            level = np.array(self._level, float).reshape(-1, 2)
+            values = {
+                "numbers": dict(self._numbers),
+                "nodes": [] if self._bag else nodes,
+                "set": {**set_points, **self._numbers.get("hit_settings", {})},
+                "rig": {} if rig is None else {"driver": rig.driver, "rate": rig.sample_rate, "preset": rig.preset},
+                "squeals": [dict(row) for row in self._squeals.rows],
+                "told": dict(self._told),
+                "run": {**self._progress.shown, "gone": not self._run_is_heard} if self._progress.shown else None,
+                "limits": self._limit_rows(),
+                "silent": now - self._came,
+                "trips": list(self._trips),
+                "blocks": self._blocks,
+                "columns": len(self._columns),
+            }
+            spectrogram = np.concatenate(self._columns) if self._columns else np.zeros(0, np.uint8)
+        arrays: dict[str, NDArray[Any]] = {"spectrogram": spectrogram}
+        if len(mu):
+            last = mu[-1, 0]
+            arrays |= {"mu_t": mu[:, 0] - last, "mu": mu[:, 1], "mu_means": mu[:, 2], "mu_true": mu[:, 3]}
+            values["mu"] = dict(zip(("windows", "means", "true"), map(float, mu[-1, 1:]), strict=True))
+        if len(level):
+            arrays |= {"level_t": level[:, 0] - level[-1, 0], "level": level[:, 1]}
+        return packed("state", values, arrays)
+
+    def take_hit_settings(self, values: Mapping[str, float]) -> None:
+        """Take the impact's settings, which the rig's description does not hold."""
+        with self._lock:
+            self._numbers["hit_settings"] = {**self._numbers.get("hit_settings", {}), **values}
+
+    def _limit_rows(self) -> list[dict[str, Any]]:
+        """The supervisor's limits: a row a quantity."""
+        known = declarations(SupervisorSettings)
+        rows = []
+        for quantity in _LIMITED:
+            found = {level: self._limits.get(f"{quantity}_{level}") for level in _LEVELS}
+            if any(limit is not None for limit in found.values()):
+                unit = known[f"{quantity}_warn"].unit
+                rows.append({"what": quantity.replace("_", " "), "unit": unit, **found})
+        return rows
+
+    def _point(self) -> tuple[float, float]:
+        if self._daq is not None:
+            return float(self._daq["preload"][-1]), float(self._daq["belt_speed"][-1])
+        if "preload" in self._numbers or self._description is None:
+            return self._numbers.get("preload", math.nan), self._numbers.get("belt_speed", math.nan)
+        return self._description.parameters.preload, self._description.parameters.belt_speed
+
+
+def column(samples: NDArray[np.float64], sample_rate: float) -> NDArray[np.uint8]:
+    """A column of the spectrogram: levels of the lines up to `SPECTRUM_HIGH` as 0 to 255."""
+    lines = spectrum_lines(samples, sample_rate, SPECTRUM_HIGH, len(samples))
+    # By frequency, not by count: a rig of another rate has other lines, and the axis stays.
+    place = np.minimum((lines.frequencies / SPECTRUM_HIGH * COLUMN_LINES).astype(int), COLUMN_LINES - 1)
+    levels = np.full(COLUMN_LINES, DARK_DB)
+    np.maximum.at(levels, place, lines.levels)
+    scaled = np.clip((levels - DARK_DB) / (BRIGHT_DB - DARK_DB), 0.0, 1.0)
+    return np.round(255.0 * scaled).astype(np.uint8)
+
+
+def number(status: Status, key: str) -> float:
+    """A number out of a status; nan where it has none."""
+    try:
+        return float(status[2].get(key, "nan"))
+    except ValueError:
+        return math.nan

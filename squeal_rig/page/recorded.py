@@ -1,0 +1,126 @@
+"""A bag on the page: what it shows at any of its times, read as it is asked for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from squeal_rig.errors import RecordingError
+from squeal_rig.instruments.channels import DAQ_CHANNELS, FRICTION_WINDOW_NEEDED, block_from_cdr
+from squeal_rig.instruments.description import RigDescription
+from squeal_rig.page.packing import packed
+from squeal_rig.page.picture import COLUMNS_PER_SECOND, TREND, Picture, Status, column
+from squeal_rig.recording import Bag, RawMessage, decoder_of
+from squeal_rig.samples.blocks import DAQ, DESCRIPTION, rig_topic, text_reader
+
+_WINDOW = 0.25  # a time shows the samples of so long before it [s]
+# Columns of a spectrogram read at one asking: each costs a chunk of the bag.
+_MOST_COLUMNS = 60
+_COLUMN_SPACING = TREND / _MOST_COLUMNS
+_OTHERS = {
+    "squeal": "squeal/state",
+    "stability": "stability/summary",
+    "windows": "friction/windows",
+    "run": "run/events",
+}
+
+
+class RecordedPicture:
+    """Fills a `Picture` from a bag.
+
+    Raises:
+        RecordingError: it is no bag of the rig.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.bag = Bag(path)
+        samples, description = rig_topic(self.bag, DAQ), rig_topic(self.bag, DESCRIPTION)
+        if samples is None or description is None:
+            raise RecordingError(f"{path} has no samples of the rig with its description")
+        self._samples, self._description = samples, description
+        self._text = text_reader(self.bag, description)
+        self._others = {what: topic for what, name in _OTHERS.items() if (topic := rig_topic(self.bag, name))}
+        self._decoders = {
+            what: decoder_of(self.bag.topics[topic].schema) for what, topic in self._others.items() if what != "windows"
+        }
+        self.picture = Picture(False, path.name, self.bag.duration)
+        self._columns: dict[int, NDArray[np.uint8] | None] = {}
+        # Described and analysed once, mostly before the first sample: kept from the beginning of the bag on.
+        wanted = [description, *(self._others[w] for w in ("stability", "run") if w in self._others)]
+        self._latched = [(m.log_time, m.topic, m.data) for m in self.bag.messages(wanted)]
+
+    def at(self, time: float) -> list[bytes]:
+        """The messages for a time [s after the bag's first message]."""
+        now = self.bag.start_time + round(min(time, self.bag.duration) * 1e9)
+        picture = self.picture
+        picture.forget()
+        self._take_latched(now)
+        topics = [self._others[what] for what in ("squeal", "windows") if what in self._others]
+        if topics:
+            for message in self.bag.messages(topics, now - round(TREND * 1e9), now + 1):
+                self._take(message)
+        for samples in self._blocks(now, _WINDOW):
+            picture.take_block(samples)
+        frame = picture.frame()
+        picture.replace_columns(self._spectrogram(now))
+        if frame is None:  # no samples here: nothing of another time is left to be seen
+            frame = packed("frame", {}, {"x": np.zeros(0), "y": np.zeros(0)})
+        return [frame, picture.state()]
+
+    def _take_latched(self, now: int) -> None:
+        told = [(log_time, topic, data) for log_time, topic, data in self._latched if log_time <= now]
+        last = {topic: data for _, topic, data in told}
+        first = next((data for _, topic, data in self._latched if topic == self._description), None)
+        data = last.get(self._description, first)
+        if data is not None:
+            self.picture.take_rig(RigDescription.from_yaml(self._text(data)))
+        stability, run = self._others.get("stability"), self._others.get("run")
+        if stability in last:
+            self.picture.take_stability(dict(_statuses(self._decoders["stability"](last[stability]))))
+        for log_time, topic, data in told:
+            if topic == run:
+                for _, status in _statuses(self._decoders["run"](data)):
+                    self.picture.take_run(log_time * 1e-9, status)
+
+    def _take(self, message: RawMessage) -> None:
+        if message.topic == self._others.get("windows"):
+            window = block_from_cdr(message.data, FRICTION_WINDOW_NEEDED).samples[0]
+            self.picture.take_window(*(float(window[n]) for n in ("t_end", "mu", "mu_ratio_of_means", "mu_true")))
+            return
+        for _, status in _statuses(self._decoders["squeal"](message.data)):
+            self.picture.take_squeal(message.log_time * 1e-9, status)
+
+    def _blocks(self, now: int, length: float) -> Iterator[Any]:
+        for message in self.bag.messages([self._samples], now - round(length * 1e9), now + 1):
+            yield block_from_cdr(message.data, DAQ_CHANNELS).samples
+
+    def _spectrogram(self, now: int) -> list[NDArray[np.uint8]]:
+        """Columns on a grid of times that stays, so that moving on reads the new ones only."""
+        rig = self.picture.rig
+        if rig is None:
+            return []
+        last = math.floor((now - self.bag.start_time) * 1e-9 / _COLUMN_SPACING)
+        repeat = round(_COLUMN_SPACING * COLUMNS_PER_SECOND)
+        columns = []
+        for number in range(max(0, last - _MOST_COLUMNS + 1), last + 1):
+            if number not in self._columns:
+                end = min(self.bag.start_time + round((number + 0.5) * _COLUMN_SPACING * 1e9), self.bag.end_time)
+                blocks = [block["x"] for block in self._blocks(end, _WINDOW / 2)]
+                samples = np.concatenate(blocks) if blocks else np.zeros(0)
+                sound = len(samples) > 1 and np.isfinite(samples).all()
+                self._columns[number] = column(samples, rig.sample_rate) if sound else None
+            found = self._columns[number]
+            if found is not None:
+                columns += [found] * repeat
+        return columns
+
+
+def _statuses(message: Any) -> Iterator[tuple[str, Status]]:
+    for found in message.status:
+        level = found.level if isinstance(found.level, int) else int.from_bytes(found.level, "little")
+        yield str(found.name), (level, str(found.message), {pair.key: pair.value for pair in found.values})

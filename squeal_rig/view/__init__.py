@@ -1,0 +1,1 @@
+"""What people see and hear of the rig, small enough for any screen."""
