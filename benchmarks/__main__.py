@@ -8,7 +8,7 @@ import platform
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from benchmarks import cycles
+from benchmarks import cycles, instruments
 from benchmarks.case import amplification, expected_states
 from benchmarks.peers import Point, all_points, real_time
 from benchmarks.taylor import lanes_speed, slip_points, slip_table
@@ -25,9 +25,10 @@ from benchmarks.throughput import (
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 ASKED = 1e-6
 STRICT = 1e-9
-PARTS = ("engine", "cycles", "nodes")
+PARTS = ("engine", "cycles", "instruments", "nodes", "stops", "campaigns", "page")
 #: Sections in this order after the engine's; each part is written anew without the others.
-CYCLES, NODES = "## Cycles and hits\n", "## The live node\n"
+CYCLES, INSTRUMENTS, NODES = "## Cycles and hits\n", "## Instruments and actuators\n", "## The live node\n"
+STOPS, CAMPAIGNS, PAGE = "## Emergency stop\n", "## Campaigns\n", "## The operator's page\n"
 
 
 def machine() -> str:
@@ -238,13 +239,19 @@ def main() -> None:
     """Measure and write."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument("part", nargs="?", choices=PARTS, help="measure this alone")
-    parser.add_argument("--minutes", type=float, default=1.0, help="length of the run of the live node (default: 1)")
+    parser.add_argument(
+        "--minutes", type=float, default=1.0, help="length of the runs of the live node and of the page (default: 1)"
+    )
     arguments = parser.parse_args()
     if not 0.1 <= arguments.minutes <= 1440.0:
         parser.error(f"--minutes = {arguments.minutes:g} is out of bounds: it must be 0.1 to 1440 min")
     DOCS.mkdir(exist_ok=True)
     page = DOCS / "benchmarks.md"
-    above, _, below = page.read_text(encoding="utf-8").partition(NODES) if page.is_file() else ("", "", "")
+    above, _, seen = page.read_text(encoding="utf-8").partition(PAGE) if page.is_file() else ("", "", "")
+    above, _, many = above.partition(CAMPAIGNS)
+    above, _, stops = above.partition(STOPS)
+    above, _, below = above.partition(NODES)
+    above, _, measuring = above.partition(INSTRUMENTS)
     above, _, between = above.partition(CYCLES)
     asked = PARTS if arguments.part is None else (arguments.part,)
     if "nodes" in asked:
@@ -253,9 +260,26 @@ def main() -> None:
         below = f"\n{section(arguments.minutes)}"
     if "cycles" in asked:
         between = f"\n{cycles.section()}"
+    if "instruments" in asked:
+        measuring = instruments.section()
+    if "stops" in asked:
+        from benchmarks.stops import section as stops_section
+
+        stops = f"\n{stops_section()}"
+    if "campaigns" in asked:
+        from benchmarks.campaigns import section as campaigns_section
+
+        many = campaigns_section()
+    if "page" in asked:
+        from benchmarks.page import measured
+
+        seen = f"\n{measured(arguments.minutes)}"
     if "engine" in asked:
         above = engine()
-    parts = [above, CYCLES + between if between else "", NODES + below if below else ""]
+    later = (
+        (CYCLES, between), (INSTRUMENTS, measuring), (NODES, below), (STOPS, stops), (CAMPAIGNS, many), (PAGE, seen),
+    )  # fmt: skip
+    parts = [above, *(title + text for title, text in later if text)]
     page.write_text("\n\n".join(part.rstrip() for part in parts if part) + "\n", encoding="utf-8")
 
 

@@ -46,8 +46,15 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("params_file", default_value=config, description="parameters of all nodes"),
             DeclareLaunchArgument("namespace", default_value="", description="the namespace of the recorded rig"),
             DeclareLaunchArgument("clock", default_value="false", description="recorded time on /clock, for all nodes"),
+            DeclareLaunchArgument("view", default_value="false", description="small topics for plotting tools"),
             DeclareLaunchArgument("record", default_value="false", description="write the results to a new bag"),
             *(Node(executable=name, parameters=[parameters, clock], **started) for name in ESTIMATORS),
+            Node(
+                executable="view",
+                parameters=[parameters, clock],
+                condition=IfCondition(LaunchConfiguration("view")),
+                **started,
+            ),
             Node(
                 executable="recorder",
                 parameters=[parameters, clock],

@@ -5,11 +5,12 @@ from __future__ import annotations
 import sys
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from squeal_rig.errors import SquealRigError
+from squeal_rig.configuration.new_files import close_to_strangers
+from squeal_rig.errors import ConfigurationError, SquealRigError
 from squeal_rig.report.terminal import PlainConsole
 
 app = typer.Typer(
@@ -23,11 +24,32 @@ console = PlainConsole()
 
 BagArgument = Annotated[Path, typer.Argument(help="A bag: its folder or its .mcap file.", metavar="BAG")]
 ForceOption = Annotated[bool, typer.Option("--force", help="Overwrite a file that is there.")]
+InstrumentsOption = Annotated[
+    str | None,
+    typer.Option(help="Data sheets: ideal, typical, poor, or a YAML file; those of the parameters by default."),
+]
 NO_ROS = "ROS 2 is not installed here: pip install 'squeal_rig[jazzy]', or source a ROS 2 Jazzy installation"
+
+
+def _need_page() -> None:
+    from importlib.util import find_spec
+
+    if find_spec("aiohttp") is None:
+        raise SquealRigError("the page needs aiohttp: pip install 'squeal_rig[page]'")
 
 
 def _new_bag(given: Path | None) -> Path:
     return given or Path("bags") / f"{datetime.now(timezone.utc):%Y%m%dT%H%M%SZ}"
+
+
+def _data_sheets(given: str | None) -> str | None:
+    """Data sheets as nodes find them wherever they run; a wrong file is refused before anything starts."""
+    from squeal_rig.instruments.data_sheets import data_sheet_path, load_data_sheets
+
+    if given is None:
+        return None
+    load_data_sheets(given)
+    return str(path.absolute()) if (path := data_sheet_path(given)) == Path(given) else given
 
 
 @app.command()
@@ -37,6 +59,9 @@ def run(
     record: Annotated[bool, typer.Option(help="Record a bag.")] = True,
     plan: Annotated[Path | None, typer.Option(help="Plan to run; the rig runs until Ctrl-C without.")] = None,
     duration: Annotated[float | None, typer.Option(help="Longest run without a plan [s].", min=0.0)] = None,
+    instruments: InstrumentsOption = None,
+    page: Annotated[bool, typer.Option("--page", help="Serve the operator's page too.")] = False,
+    control: Annotated[bool, typer.Option("--control", help="Let the page operate the rig.")] = False,
 ) -> None:
     """Start the nodes as processes, show the rig live, end cleanly on Ctrl-C."""
     from squeal_rig.catalogue.checking import check_file
@@ -48,7 +73,15 @@ def run(
     parameters = config or config_directory() / "rig.yaml"
     check_file(parameters)
     chosen_plan = load_plan(plan) if plan is not None else None
-    options = SessionOptions(parameters, _new_bag(bag) if record else None, chosen_plan, duration)
+    if page:
+        _need_page()
+    elif control:
+        raise ConfigurationError("--control lets the page operate the rig: give --page too")
+    served = None if not page else ["-p", "control:=true"] if control else []
+    sheets = _data_sheets(instruments)
+    options = SessionOptions(
+        parameters, _new_bag(bag) if record else None, chosen_plan, duration, instruments=sheets, page=served
+    )
     try:
         result = run_session(options, console, SignalWatch())
     finally:
@@ -60,16 +93,51 @@ def run(
         raise SquealRigError(f"nodes that did not end well, by exit code: {failed}")
 
 
+@app.command("page")
+def operators_page(
+    bag: Annotated[
+        Path | None, typer.Argument(help="A bag to show, read-only; the live rig without.", metavar="[BAG]")
+    ] = None,
+    config: Annotated[Path | None, typer.Option(help="Node parameters; the package's rig.yaml by default.")] = None,
+    address: Annotated[str | None, typer.Option(help="Address to listen on; 127.0.0.1 by default.")] = None,
+    port: Annotated[int | None, typer.Option(help="Port to listen on; 8460 by default.", min=0, max=65535)] = None,
+    token_file: Annotated[Path | None, typer.Option(help="File with the token that every request must show.")] = None,
+    control: Annotated[bool, typer.Option("--control", help="Let the page operate the rig.")] = False,
+) -> None:
+    """The operator's page of the rig that runs on this ROS domain, or of a bag."""
+    from squeal_rig.catalogue.checking import check_file, node_settings
+    from squeal_rig.configuration.files import config_directory
+
+    _need_page()
+    parameters = config or config_directory() / "rig.yaml"
+    check_file(parameters)
+    given: dict[str, str | bool | int | None] = {"address": address, "port": port, "control": control or None}
+    given["token_file"] = str(token_file) if token_file is not None else None
+    chosen = {name: value for name, value in given.items() if value is not None}
+    if bag is not None:
+        from squeal_rig.page.serve_bag import serve_bag
+        from squeal_rig.page.settings import PageSettings
+
+        serve_bag(bag, PageSettings.from_mapping(chosen, node_settings(parameters, "page", PageSettings)), console)
+        return
+    from squeal_rig.session.page import run_page
+
+    code = run_page(parameters, chosen)
+    raise typer.Exit(code)
+
+
 @app.command()
 def demo(
     bag: Annotated[Path | None, typer.Option(help="Bag to write; bags/<UTC stamp> by default.")] = None,
+    instruments: InstrumentsOption = None,
 ) -> None:
     """From quiet sliding into squeal: a scripted run of 23 s, its bag, its replay, its picture."""
     from squeal_rig.graph import signals
     from squeal_rig.session.demo import run_demo
 
+    sheets = _data_sheets(instruments)
     try:
-        code = run_demo(_new_bag(bag), console)
+        code = run_demo(_new_bag(bag), console, sheets)
     finally:
         signals.ignore()  # what is left is to end
     raise typer.Exit(code)
@@ -162,11 +230,29 @@ def zone_map(
     run_map(rig, span(preload, "preload", "N"), span(speed, "belt speed", "m/s"), out, force, console)
 
 
+study_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Studies of the rig as a measuring device.")
+app.add_typer(study_app, name="study")
+
+
+@study_app.command("friction-bias")
+def friction_bias(
+    out: FolderOption,
+    preset: PresetOption = "yavuz_sen_2023",
+    instruments: Annotated[
+        str, typer.Option(help="Data sheets: a file of config/instruments/ without .yaml, or a path.")
+    ] = "typical",
+    force: FolderForceOption = False,
+) -> None:
+    """What each error of the instruments does to mu: every estimator, in sliding and in squeal, over averaging time."""
+    from squeal_rig.model.parameters import RigParameters
+    from squeal_rig.studies.friction_bias.pages import run_friction_bias
+
+    run_friction_bias(RigParameters.chosen(preset, []), instruments, out, force, console)
+
+
 @app.command()
 def check(
-    file: Annotated[
-        Path, typer.Argument(help="A parameter file, a preset, a plan, targets or a calibration.", metavar="FILE")
-    ],
+    file: Annotated[Path, typer.Argument(help="Parameters, a plan, a campaign, data sheets, ...", metavar="FILE")],
 ) -> None:
     """Check a YAML file of ours; exit code 2 and one sentence when something is wrong with it."""
     from squeal_rig.catalogue.checking import check_file
@@ -213,6 +299,102 @@ def calibrate(
     from squeal_rig.studies.inverse.calibrate import Effort, run_calibration
 
     run_calibration(targets, free.split(",") if free else [], Effort(seed, starts, generations), out, console)
+
+
+campaign_app = typer.Typer(
+    no_args_is_help=True, rich_markup_mode=None, help="Measure a matrix of operating points, go on with it, report it."
+)
+app.add_typer(campaign_app, name="campaign")
+CampaignFolder = Annotated[Path, typer.Argument(help="Folder of a campaign.", metavar="DIR")]
+WorkersOption = Annotated[
+    int | None, typer.Option(help="Processes that measure; chosen by the size of the campaign by default.", min=0)
+]
+SchedulerOption = Annotated[str, typer.Option(help="Address of a Dask scheduler, tcp://host:8786.")]
+
+
+@campaign_app.command("run")
+def campaign_run(
+    plan: Annotated[Path, typer.Argument(help="Plan of the campaign, as config/campaigns/smoke.yaml.", metavar="PLAN")],
+    out: Annotated[Path, typer.Option(help="New folder for the plan, the journal, the tables and the report.")],
+    live: Annotated[bool, typer.Option("--live", help="On the ROS graph, through the rig's node.")] = False,
+    config: Annotated[
+        Path | None, typer.Option(help="Live: node parameters; the package's rig.yaml by default.")
+    ] = None,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = "",
+    chunk: Annotated[int | None, typer.Option(help="Points handed out at once.", min=1)] = None,
+) -> None:
+    """Measure every point of a plan, by the engine alone or live, and write a report."""
+    from squeal_rig.experiments.campaign.plans import load_campaign
+    from squeal_rig.experiments.campaign.running import start
+
+    campaign, parameters = load_campaign(plan), ""
+    if live:
+        from squeal_rig.configuration.files import config_directory
+        from squeal_rig.session.campaign import live_config
+
+        parameters = live_config(campaign, config or config_directory() / "rig.yaml")
+    _go_on(start(out, campaign, chunk, live), parameters, workers, scheduler)
+
+
+@campaign_app.command("resume")
+def campaign_resume(
+    folder: CampaignFolder,
+    config: Annotated[
+        Path | None, typer.Option(help="Live: node parameters that it was begun with; it keeps them itself.")
+    ] = None,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = "",
+) -> None:
+    """Go on with a campaign that ended early: what is measured stays, what was cut is measured from its start."""
+    from squeal_rig.experiments.campaign.store import Store, header
+
+    (campaign, first), parameters = header(folder), ""
+    if first.get("live"):
+        from squeal_rig.session.campaign import resumed_config
+
+        parameters = resumed_config(folder, campaign, config)
+    _go_on(Store.resume(folder), parameters, workers, scheduler)
+
+
+@campaign_app.command("status")
+def campaign_status(folder: CampaignFolder) -> None:
+    """How far a campaign is."""
+    from squeal_rig.experiments.campaign.running import status
+
+    for sentence in status(folder):
+        console.print(sentence)
+
+
+@campaign_app.command("report")
+def campaign_report(folder: CampaignFolder) -> None:
+    """Write the report of a campaign anew, of what is measured so far: one page, with PNG and CSV beside it."""
+    from squeal_rig.experiments.campaign.pages import write_campaign_report
+
+    console.print(f"report: {write_campaign_report(folder)}")
+
+
+def _go_on(store: Any, parameters: str, workers: int | None, scheduler: str) -> None:
+    """Measure what is missing; live with the text of a parameter file, without one by the engine."""
+    from squeal_rig.experiments.campaign.pages import write_campaign_report
+    from squeal_rig.experiments.campaign.running import Where, run_direct
+
+    try:
+        if parameters:
+            from squeal_rig.graph import signals
+            from squeal_rig.session.campaign import keep_config, run_live
+            from squeal_rig.session.run import SignalWatch
+
+            keep_config(store.folder, parameters)
+            try:
+                run_live(store, console, SignalWatch())
+            finally:
+                signals.ignore()  # what is left is to end
+        else:
+            run_direct(store, Where(workers, scheduler), lambda progress: console.print(str(progress)))
+    finally:
+        store.close()
+    console.print(f"report: {write_campaign_report(store.folder)}")
 
 
 @app.command()
@@ -304,6 +486,7 @@ def estimate(bag: BagArgument, out: OutArgument) -> None:
 
 def main() -> int:
     """Run the command line; bad input is one sentence and exit code 2."""
+    close_to_strangers()
     try:
         app()
     except SquealRigError as error:

@@ -1,12 +1,15 @@
 """Domains, processes and an observer, for every test that starts something."""
 
 import pytest
+from hypothesis import settings
 
 from .graph.domains import private_domain
 from .graph.processes import Processes
 
 # Compiling the model for the first time takes tens of seconds, on a busy machine minutes.
 _COMPILING = 600.0
+settings.register_profile("any machine", deadline=None)  # a busy one takes its time
+settings.load_profile("any machine")
 _MEASURED = pytest.StashKey[list]()
 
 

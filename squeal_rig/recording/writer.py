@@ -34,6 +34,15 @@ _MAX_MESSAGE = MAX_CHUNK_BYTES // 2
 _SEQUENCE_MASK = 2**32 - 1
 
 
+def refuse_written(directory: Path) -> None:
+    """`RecordingError` where a new bag would meet what is there already."""
+    if directory.is_dir():
+        if any(directory.iterdir()):
+            raise RecordingError(f"The bag directory {directory} exists already and is not empty.")
+    elif directory.exists():
+        raise RecordingError(f"The bag directory {directory} exists already and is a file.")
+
+
 def is_numbered(library: str) -> bool:
     """Whether the writer of a file numbers the messages of a topic one by one, as ours does."""
     return library.startswith(_OURS)
@@ -250,8 +259,7 @@ class BagWriter:
     def _make_directory(self) -> None:
         try:
             self.directory.mkdir(parents=True, exist_ok=True)
-            if any(self.directory.iterdir()):
-                raise RecordingError(f"The bag directory {self.directory} exists already and is not empty.")
+            refuse_written(self.directory)
         except OSError as error:
             raise DiskError(f"Cannot create the bag directory {self.directory}: {error.strerror}.") from None
 

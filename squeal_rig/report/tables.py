@@ -11,6 +11,7 @@ from squeal_rig.analysis.segments import Analysis, segment_rows
 
 _FORMS = {"k [N/m]": ".3g", "k_cr [N/m]": ".3g", "margin": "+.2f", "F [N]": ".0f", "V [m/s]": ".2f"}
 _FORMS |= {"from [s]": ".1f", "to [s]": ".1f", "f squeal [Hz]": ".0f", "f eigen [Hz]": ".0f"}
+_FORMS |= {"± 95 % scatter": ".2g", "± 95 % with sheets": ".2g"}
 _FORMS |= {"off belt [s]": ".2f", "off belt share": ".3f"}
 
 

@@ -19,8 +19,11 @@ from squeal_rig.session.run import SessionOptions, SignalWatch, private_domain, 
 _REPLAY_RATE = 2.0
 
 
-def run_demo(bag: Path, console: Console) -> int:
-    """Run the plan `demo` on a private ROS domain, record, replay, compare, draw; returns the exit code."""
+def run_demo(bag: Path, console: Console, instruments: str | None = None) -> int:
+    """Run the plan `demo` on a private ROS domain, record, replay, compare, draw; returns the exit code.
+
+    `instruments` are data sheets by name or path; those of the package's rig.yaml where it is None.
+    """
     # Compiled now where it never was: the plan's hits wait for it, and the bag would show a minute of nothing.
     console.print("preparing: a first demo compiles the model, which takes about a minute")
     hard_squeal(RigParameters(damping_x=20.0, damping_y=20.0))
@@ -29,7 +32,7 @@ def run_demo(bag: Path, console: Console) -> int:
     config = config_directory() / "rig.yaml"
     plan = load_plan(config_directory() / "plans" / "demo.yaml")
     console.print(f"{plan.title}: {plan.duration:g} s of a virtual rig, recorded to {bag}")
-    result = run_session(SessionOptions(config, bag, plan), console, watch)
+    result = run_session(SessionOptions(config, bag, plan, instruments=instruments), console, watch)
     if result.interrupted:
         console.print("ended by the operator; the bag holds what was recorded until then")
         return 130
@@ -39,11 +42,7 @@ def run_demo(bag: Path, console: Console) -> int:
         return 1
     console.print(f"replaying at {_REPLAY_RATE:g} times the speed through a fresh estimator ...")
     comparison = replay_and_compare(bag, config, _REPLAY_RATE, watch)
-    verdict = "the same, number for number" if comparison.same else "NOT the same"
-    console.print(
-        f"windows: {comparison.live} live, {comparison.replayed} replayed,"
-        f" {comparison.equal} equal in every bit: {verdict}"
-    )
+    console.print(comparison.sentence)
     analysis = analyse_bag(bag)
     console.print(segment_table(analysis))
     for sentence in zone_sentences(analysis):

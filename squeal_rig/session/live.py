@@ -20,15 +20,20 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from squeal_rig.errors import ExperimentError, RecordingError
+from squeal_rig.errors import ExperimentError, NoHitError, RecordingError
 from squeal_rig.estimation import hard_squeal
 from squeal_rig.estimation.stability_follower import DESCRIPTION_KEY, IN_FORCE, SET_POINT, text_crc
 from squeal_rig.experiments.engine import RunEvent
 from squeal_rig.graph import qos
 from squeal_rig.graph.conversions import ERROR, OK, diagnostics, status, status_number, status_values
+from squeal_rig.graph.health import LISTENERS
 from squeal_rig.graph.lifetime import GuardedExecutor
 from squeal_rig.graph.names import Claim, is_running
-from squeal_rig.instruments.channels import DAQ_CHANNELS, FRICTION_WINDOW_CHANNELS, block_from_cdr
+from squeal_rig.instruments.acquisition import NOT_MOVABLE
+from squeal_rig.instruments.channels import DAQ_CHANNELS, FRICTION_WINDOW_NEEDED, block_from_cdr
+from squeal_rig.instruments.description import RigDescription
+from squeal_rig.instruments.driver import Samples
+from squeal_rig.instruments.numbering import SEQ_MODULUS
 from squeal_rig.recording.gaps import samples_missing
 
 # Discovery of a service took up to 2.3 s where it was measured.
@@ -39,7 +44,12 @@ _DISCOVERY = 0.5
 # A first smallest hit ever may have to be compiled.
 _HIT_TIMEOUT = 180.0
 _SPIN = 0.05
-_LISTENERS = "listeners to "  # of the rig's health
+# A rig is safe to touch below these, as it measures them [N], [m/s]; it has so long to come there [s].
+_NO_PRELOAD, _NO_SPEED, _STANDSTILL = 5.0, 0.02, 120.0
+# Longest that a rig takes to connect anew [s].
+_START = 60.0
+#: Parameter of this node by which a mechanic says that the springs of that name are fitted.
+FITTED = "spring_fitted"
 
 
 @dataclass
@@ -63,7 +73,8 @@ class LiveState:
     level: float = math.nan
     frequency: float = math.nan
     recorded_bytes: float = math.nan
-    rig_listeners: dict[str, int] = field(default_factory=dict)
+    trip: str = ""
+    listeners: dict[str, int] = field(default_factory=dict)  # as the publishers of the topics count them
     health: dict[str, tuple[int, str]] = field(default_factory=dict)
 
 
@@ -83,16 +94,20 @@ class LiveGraph:
         self._samples = 0
         self._interval = math.nan
         self._next_seq: int | None = None
+        self._description = ""
         self._described = self._analysed = self._hard_squeal = ""
         self.state = LiveState()
         self.windows: list[Any] = []
         self.on_spin: Callable[[], None] = lambda: None
+        self.on_samples: Callable[[Samples], None] = lambda daq: None
+        self.ends_with_trip = False
         subscribe = self._node.create_subscription
         subscribe(PointCloud2, "daq/samples", self._on_daq, qos.BLOCKS, raw=True)
         subscribe(PointCloud2, "friction/windows", self._on_window, qos.EVENTS, raw=True)
         subscribe(DiagnosticArray, "stability/summary", self._on_stability, qos.LATCHED)
         subscribe(String, "rig/description", self._on_description, qos.LATCHED)
         subscribe(DiagnosticArray, "squeal/state", self._on_squeal, qos.EVENTS)
+        subscribe(DiagnosticArray, "supervisor/state", self._on_supervisor, qos.LATCHED)
         subscribe(DiagnosticArray, "/diagnostics", self._on_health, qos.EVENTS)
         self._events = self._node.create_publisher(DiagnosticArray, "run/events", qos.RUN_EVENTS)
         self._set = self._node.create_client(SetParametersAtomically, "rig/set_parameters_atomically")
@@ -111,19 +126,21 @@ class LiveGraph:
         self._executor.spin_for(seconds)
         self._watched()
         self.on_spin()
+        if self.ends_with_trip and self.state.trip:
+            raise ExperimentError(f"the supervisor has taken the rig out of the plan: {self.state.trip}")
 
     def listeners(self, topic: str) -> int:
         """Subscribers to a topic that the graph knows of."""
         return self._node.count_subscribers(self._node.resolve_topic_name(topic))
 
-    def rig_is_heard_by(self, count: int) -> bool:
-        """Whether the rig itself counts that many listeners to its samples, and on each topic all the graph knows of.
+    def is_heard(self, wanted: Mapping[str, int]) -> bool:
+        """Whether publishers themselves count so many listeners to their topics, and all that the graph knows of.
 
-        The graph knows of a subscriber some time before the rig's publisher does, and what is published in between it
-        does not get.
+        The graph knows of a subscriber some time before a publisher does, and what is published in between it does not
+        get.
         """
-        counts = self.state.rig_listeners
-        return counts.get("daq/samples", 0) >= count and all(n >= self.listeners(t) for t, n in counts.items())
+        counts = self.state.listeners
+        return all(counts.get(topic, 0) >= max(count, self.listeners(topic)) for topic, count in wanted.items())
 
     def transition(self, number: int, timeout: float) -> None:
         """Take the rig through a lifecycle transition; `ExperimentError` when it fails."""
@@ -141,11 +158,17 @@ class LiveGraph:
 
     def wait_for(self, condition: Callable[[], bool], what: str, timeout: float) -> None:
         """Spin until a condition holds; `ExperimentError` after `timeout` [s]."""
+        if not self.comes(condition, timeout):
+            raise ExperimentError(f"{what} did not come within {timeout:g} s")
+
+    def comes(self, condition: Callable[[], bool], timeout: float) -> bool:
+        """Spin until a condition holds; whether it does within `timeout` [s]."""
         deadline = time.monotonic() + timeout
         while not condition():
             if time.monotonic() > deadline:
-                raise ExperimentError(f"{what} did not come within {timeout:g} s")
+                return False
             self.spin()
+        return True
 
     # --- the plan's Rig
 
@@ -165,11 +188,43 @@ class LiveGraph:
             raise ExperimentError(f"the rig refused {service}: {response.message}")
         return str(response.message)
 
+    def change_springs(self, name: str, stiffness: float, dwell: float) -> str:
+        """Give both arms that stiffness [N/m]: at once where the rig's driver can, else by a mechanic.
+
+        For a mechanic preload and belt come to nothing, and the rig is deactivated. It goes on once this node's
+        parameter `spring_fitted` is the springs' name, or `dwell` [s] has passed; then the set points are as before.
+        """
+        springs: dict[str, float | str] = {"k1": stiffness, "k2": stiffness}
+        try:
+            self.set_parameters(springs)
+            return "set"
+        except ExperimentError as error:
+            if NOT_MOVABLE not in str(error):
+                raise
+        before = self.description.parameters
+        self.set_parameters({"preload": 0.0, "belt_speed": 0.0})
+        self.wait_for(self._stands, "a rig without preload and with its belt at rest", _STANDSTILL)
+        self.transition(Transition.TRANSITION_DEACTIVATE, _SERVICE_TIMEOUT)
+        if not self._node.has_parameter(FITTED):
+            self._node.declare_parameter(FITTED, "")
+        self._node.set_parameters([Parameter(FITTED, value="")])
+        end = time.monotonic() + dwell
+        while (confirmed := self._node.get_parameter(FITTED).value) != name and time.monotonic() < end:
+            self.spin()
+        self.set_parameters(springs)
+        self.transition(Transition.TRANSITION_ACTIVATE, _START)
+        self.set_parameters({"preload": before.preload, "belt_speed": before.belt_speed})
+        return f"fitted by hand, {'confirmed' if confirmed == name else f'{dwell:g} s have passed'}"
+
+    def _stands(self) -> bool:
+        return abs(self.state.preload) < _NO_PRELOAD and abs(self.state.belt_speed) < _NO_SPEED
+
     def smallest_hit(self) -> tuple[float, float]:
         """Smallest hit [N s] that starts squeal at the rig's set point, and its direction [rad], as `stability` has it.
 
         Raises:
-            ExperimentError: there is none, or it does not come in time.
+            NoHitError: there is none.
+            ExperimentError: it does not come in time.
         """
 
         def known() -> bool:
@@ -178,12 +233,17 @@ class LiveGraph:
         self.wait_for(known, "the smallest hit of the set point", _HIT_TIMEOUT)
         hit, direction = self.state.smallest_hit, self.state.hit_direction
         if not hit > 0.0:
-            raise ExperimentError(f"there is no smallest hit here: the zone of the set point is {self.state.zone!r}")
+            raise NoHitError(f"there is no smallest hit here: the zone of the set point is {self.state.zone!r}")
         return hit, direction
+
+    @property
+    def description(self) -> RigDescription:
+        """What the rig says of itself."""
+        return RigDescription.from_yaml(self._description)
 
     def tell(self, event: RunEvent) -> None:
         """Publish what has happened, with the number of the sample that comes next."""
-        coming = "none" if self._next_seq is None else self._next_seq % 2**32
+        coming = "none" if self._next_seq is None else self._next_seq % SEQ_MODULUS
         told = status(ERROR if event.failed else OK, "run", event.what, {**event.facts, "next sample": coming})
         self._events.publish(diagnostics(time.time_ns(), told))
 
@@ -224,6 +284,7 @@ class LiveGraph:
         missing = 0 if self._next_seq is None else samples_missing(self._next_seq, first)
         self._samples += len(daq) + (missing or 0)
         self._next_seq = first + len(daq)
+        self.on_samples(daq)
         if len(daq) > 1:
             self._interval = float(daq["t"][1] - daq["t"][0])
         self.state.sampled_time = self.sampled_time()
@@ -231,7 +292,7 @@ class LiveGraph:
 
     def _on_window(self, data: bytes) -> None:
         try:
-            window = block_from_cdr(data, FRICTION_WINDOW_CHANNELS).samples[0]
+            window = block_from_cdr(data, FRICTION_WINDOW_NEEDED).samples[0]
         except RecordingError:
             return
         self.windows.append(window)
@@ -260,6 +321,7 @@ class LiveGraph:
         )
 
     def _on_description(self, message: String) -> None:
+        self._description = message.data
         self._described = text_crc(message.data)
 
     def _on_squeal(self, message: DiagnosticArray) -> None:
@@ -268,14 +330,18 @@ class LiveGraph:
             self.state.level = status_number(found, "level [dB re 1 um]")
             self.state.frequency = status_number(found, "frequency [Hz]")
 
+    def _on_supervisor(self, message: DiagnosticArray) -> None:
+        for found in message.status[:1]:
+            latched = status_values(found).get("latched", "ok")
+            self.state.trip = "" if latched == "ok" else f"{latched}: {found.message}"
+
     def _on_health(self, message: DiagnosticArray) -> None:
         for found in message.status:
             self.state.health[found.name] = (int.from_bytes(found.level, "little"), found.message)
             if found.name.split("/")[-1] == "recorder":
                 self.state.recorded_bytes = status_number(found, "bytes")
-            if found.name.split("/")[-1] == "rig":
-                self.state.rig_listeners = {
-                    key.removeprefix(_LISTENERS): int(value)
-                    for key, value in status_values(found).items()
-                    if key.startswith(_LISTENERS)
-                }
+            self.state.listeners |= {
+                key.removeprefix(LISTENERS): int(value)
+                for key, value in status_values(found).items()
+                if key.startswith(LISTENERS)
+            }

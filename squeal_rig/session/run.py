@@ -2,29 +2,39 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import shutil
 import signal
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from operator import itemgetter
 from pathlib import Path
+from typing import Any
 
 from lifecycle_msgs.msg import Transition
 from rich.console import Console
 
-from squeal_rig.configuration.files import load_yaml
+from squeal_rig.configuration.files import load_yaml, yaml_scalar
 from squeal_rig.configuration.node_files import node_of, parameter_blocks
 from squeal_rig.errors import ExperimentError
-from squeal_rig.experiments.engine import STEP_BEGUN, RunEvent, run_plan
+from squeal_rig.experiments.engine import RUN_ENDED, RUN_STARTED, STEP_BEGUN, RunEvent, run_plan
 from squeal_rig.experiments.plan import Plan
+from squeal_rig.recording.replay import matching_topics
+from squeal_rig.recording.settings import DEFAULT_TOPICS
+from squeal_rig.recording.writer import refuse_written
 from squeal_rig.session.console import StateDisplay
 from squeal_rig.session.live import LiveGraph
 from squeal_rig.session.processes import NodeProcess, stop_all
 
+# The node that is the rig: one of them, by its driver.
+RIGS = ("simulator", "rig")
 CONSUMERS = ("friction_estimator", "stability", "squeal_detector")
+SUPERVISOR = "supervisor"
+PAGE = "page"
 # Compiling for the first time takes tens of seconds on a slow machine.
 _START_TIMEOUT = 120.0
 # Publisher and subscriber were seen to match after 2.3 s at worst.
@@ -37,12 +47,22 @@ class InterruptedByOperator(Exception):  # noqa: N818
 
 @dataclass(frozen=True)
 class SessionOptions:
-    """What to run: parameter file, bag to write (None: no recording), plan or longest duration [s] (None: endless)."""
+    """What to run: parameter file, bag to write (None: no recording), plan or longest duration [s] (None: endless).
+
+    `work`, where given, is done on the running rig in place of a plan: it gets the graph and what takes its events;
+    `facts` of it are told as the run starts.
+    `instruments` are data sheets in place of those of the parameter file.
+    `page`: ROS arguments of the node `page`; None: no page.
+    """
 
     config: Path
     bag: Path | None = None
     plan: Plan | None = None
     duration: float | None = None
+    work: Callable[[LiveGraph, Callable[[RunEvent], None]], None] | None = None
+    facts: Mapping[str, object] = field(default_factory=dict)
+    instruments: str | None = None
+    page: Sequence[str] | None = None
 
 
 @dataclass
@@ -90,22 +110,33 @@ def run_session(options: SessionOptions, console: Console, watch: SignalWatch) -
     """Start the nodes, follow them, run the plan, end them.
 
     Raises:
+        RecordingError: the bag is there already.
         ExperimentError: a rig is there already, a node did not start or died, or the plan could not be run.
     """
+    if options.bag is not None:
+        refuse_written(options.bag)
     result = SessionResult()
     log_directory = Path(tempfile.mkdtemp(prefix="squeal_rig_"))
     nodes: list[NodeProcess] = []
+    spared: set[str] = set()
 
     def watched() -> None:
         watch.check()
-        for node in nodes:
-            node.check()
+        for node in list(nodes):
+            try:
+                node.check()
+            except ExperimentError as error:
+                if node.name not in spared:
+                    raise
+                nodes.remove(node)
+                console.print(f"the run goes on without: {error}")
 
     console.print(keep_to_this_machine())
     graph = LiveGraph(watched)
     try:
         graph.refuse_other_rig()
         _start(options, nodes, log_directory, graph)
+        spared.add(PAGE)  # the rig and its recorder do not need it
         with StateDisplay(console, graph.state) as display:
             _follow(options, graph, display)
     except InterruptedByOperator:
@@ -113,9 +144,9 @@ def run_session(options: SessionOptions, console: Console, watch: SignalWatch) -
     finally:
         # The rig first, so that everybody else still takes its last block; the recorder last.
         running, nodes = list(nodes), []
-        for name in ("simulator", None, "recorder"):
-            chosen = [n for n in running if n.name == name or (name is None and n.name in CONSUMERS)]
-            result.exit_codes |= stop_all(chosen, options.bag if name == "recorder" else None)
+        for names in (RIGS, (*CONSUMERS, SUPERVISOR, PAGE), ("recorder",)):
+            chosen = [n for n in running if n.name in names]
+            result.exit_codes |= stop_all(chosen, options.bag if "recorder" in names else None)
         graph.close()
         if options.bag is not None and options.bag.is_dir():
             shutil.copytree(log_directory, options.bag / "logs", dirs_exist_ok=True)
@@ -126,26 +157,54 @@ def run_session(options: SessionOptions, console: Console, watch: SignalWatch) -
 def _start(options: SessionOptions, nodes: list[NodeProcess], logs: Path, graph: LiveGraph) -> None:
     """Start every node; the rig begins to sample once everybody listens, so that no first block is lost."""
     files = ["--params-file", str(options.config)]
-    if _has_own_clock(options.config):
+    # What does not run in real time is no machine, and nobody follows it in time to stop it.
+    supervised = not _has_own_clock(options.config)
+    if not supervised:
         files = [*files, "-p", "use_sim_time:=true"]
     for name in CONSUMERS:
         nodes.append(NodeProcess(name, logs, files))
+    if supervised:
+        watched = ["rig", *CONSUMERS, *(["recorder"] if options.bag is not None else [])]
+        nodes.append(NodeProcess(SUPERVISOR, logs, [*files, "-p", f"nodes:={json.dumps(watched)}"]))
+    if options.page is not None:
+        nodes.append(NodeProcess(PAGE, logs, [*files, *options.page]))
     # The rig itself makes the clock, so it does not follow it.
-    nodes.append(NodeProcess("simulator", logs, [*files, "-p", "use_sim_time:=false", "-p", "autostart:=false"]))
+    own = ["-p", "use_sim_time:=false", "-p", "autostart:=false"]
+    own += ["-p", f"supervisor_required:={json.dumps(supervised)}"]
+    if options.instruments is not None:
+        own += ["-p", f"instruments:={yaml_scalar(options.instruments)}"]
+    rig = "rig" if _parameter(options.config, "rig", "driver", "virtual") != "virtual" else "simulator"
+    nodes.append(NodeProcess(rig, logs, [*files, *own]))
     graph.transition(Transition.TRANSITION_CONFIGURE, _START_TIMEOUT)
     # The recorder comes last, so that its bag begins about when the run does, not while code is compiled.
     if options.bag is not None:
         nodes.append(NodeProcess("recorder", logs, [*files, "-p", f"directory:={options.bag}"]))
-    listeners = len(nodes)  # all but the simulator, and ourselves
-    graph.wait_for(lambda: graph.rig_is_heard_by(listeners), "all nodes listening", _START_TIMEOUT)
+    wanted = _wanted_listeners(options, len(nodes))
+    graph.wait_for(lambda: graph.is_heard(wanted), "all nodes listening", _START_TIMEOUT)
     graph.transition(Transition.TRANSITION_ACTIVATE, _START_TIMEOUT)
     graph.wait_for(lambda: graph.sampled_time() > 0.0, "the first block of samples", _START_TIMEOUT)
 
 
+def _wanted_listeners(options: SessionOptions, nodes: int) -> dict[str, int]:
+    """Topic -> listeners that are waited for: the bag then begins with the run, in what is estimated too."""
+    wanted = {"daq/samples": nodes, "friction/windows": 1}  # all nodes but the rig, and ourselves
+    if options.bag is not None:
+        recorded = _parameter(options.config, "recorder", "topics", DEFAULT_TOPICS)
+        for name in ("friction/samples", "friction/windows", "friction/mu"):
+            wanted[name] = wanted.get(name, 0) + len(matching_topics([f"/{name}"], recorded))
+    return wanted
+
+
 def _has_own_clock(config: Path) -> bool:
     """Whether the rig of a parameter file publishes `/clock`: where it does not run in real time."""
-    blocks = parameter_blocks(load_yaml(config))
-    return any(values.get("real_time_factor", 1.0) != 1.0 for key, values in blocks if node_of(key) in ("", "rig"))
+    return bool(_parameter(config, "rig", "real_time_factor", 1.0) != 1.0)
+
+
+def _parameter(config: Path, node: str, name: str, default: Any) -> Any:
+    """A node's parameter in a parameter file; a block for the node alone counts before one for every node."""
+    blocks = sorted(((node_of(key), values) for key, values in parameter_blocks(load_yaml(config))), key=itemgetter(0))
+    found = [values[name] for whose, values in blocks if whose in ("", node) and name in values]
+    return found[-1] if found else default
 
 
 def _follow(options: SessionOptions, graph: LiveGraph, display: StateDisplay) -> None:
@@ -159,10 +218,13 @@ def _follow(options: SessionOptions, graph: LiveGraph, display: StateDisplay) ->
             display.note("step {step} of {of}: {title}".format_map(event.facts))
 
     planned = {"plan": plan.title, "steps": len(plan.steps), "duration [s]": plan.duration} if plan is not None else {}
-    tell(RunEvent("run started", {**planned, "config": options.config}))
+    tell(RunEvent(RUN_STARTED, {**planned, **options.facts, "config": options.config}))
     outcome, failed = "done", False
     try:
-        if plan is not None:
+        graph.ends_with_trip = options.work is not None or plan is not None
+        if options.work is not None:
+            options.work(graph, tell)
+        elif plan is not None:
             run_plan(plan, graph, tell)
         else:
             end = math.inf if options.duration is None else graph.sampled_time() + options.duration
@@ -172,7 +234,7 @@ def _follow(options: SessionOptions, graph: LiveGraph, display: StateDisplay) ->
         outcome, failed = str(error) or type(error).__name__, not isinstance(error, InterruptedByOperator)
         raise
     finally:
-        tell(RunEvent("run ended", {"outcome": outcome}, failed))
+        tell(RunEvent(RUN_ENDED, {"outcome": outcome}, failed))
         if options.bag is not None:  # a run can end before the recorder has found the topic
             graph.wait_for_reader_of_events(_LATE_RECORDER)
 

@@ -133,6 +133,7 @@ def test_bad_input_ends_the_player_with_a_sentence(processes, recorded, settings
 ODD_NAMES = ("/[/x]", "/\x1b[2J", "/a b", "//a", "/a/", "/1st", "/a__b", "/ö", "/a\0b", "/" + "x" * 5000, "/")
 
 
+@pytest.mark.slow
 def test_topics_of_names_that_ros_has_not_are_left_out_and_named(processes, observer, tmp_path):
     from std_msgs.msg import String
 

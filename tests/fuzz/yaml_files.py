@@ -102,9 +102,10 @@ def _sources():
     folder = config_directory()
     texts = {
         "rig": (folder / "rig.yaml").read_text(encoding="utf-8"),
+        "springs": (folder / "springs.yaml").read_text(encoding="utf-8"),
         "description": RigDescription(RigParameters.preset("yavuz_sen_2023")).to_yaml(),
     }
-    for kind in ("presets", "plans", "paper", "calibrations"):
+    for kind in ("presets", "plans", "paper", "calibrations", "drivers"):
         for path in sorted((folder / kind).glob("*.yaml")):
             texts[path.stem if kind == "presets" else f"{kind}_{path.stem}"] = path.read_text(encoding="utf-8")
     return texts

@@ -1,18 +1,15 @@
 """`squeal-rig bag ...` as a user runs it: what it prints, its exit codes, never a traceback."""
 
-import subprocess
-import sys
-
 import pytest
 from bag_making import write_bag
+
+from tests.command_line import in_this_process
 
 
 def squeal_rig(*arguments):
     """(exit code, what was printed) of the command line."""
-    command = [sys.executable, "-m", "squeal_rig.cli", *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
-    assert "Traceback" not in done.stderr
-    return done.returncode, done.stdout + done.stderr
+    code, output, errors = in_this_process(*arguments)
+    return code, output + errors
 
 
 @pytest.fixture(scope="module")

@@ -43,7 +43,7 @@ def test_topics_times_and_counts_are_told_without_reading_messages(tmp_path, str
     )
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     times=st.lists(st.integers(0, 30), min_size=1, max_size=60),
     per_file=st.integers(1, 60),
@@ -202,7 +202,7 @@ def damaged_copy(data, whole):
     return bytes([*whole[: at // 8], whole[at // 8] ^ 1 << at % 8, *whole[at // 8 + 1 :]])
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(data=st.data(), checked=st.booleans())
 def test_a_damaged_file_is_refused_with_a_sentence_and_never_read_wrongly(tmp_path_factory, small_bag, data, checked):
     """Cuts and bit flips anywhere, also in a file whose summary has no checksum (it may be left out)."""

@@ -55,6 +55,34 @@ def test_blocks_come_out_joined_with_their_truth(bag: Path):
         assert block.rig.parameters == PARAMETERS
 
 
+def test_truth_is_joined_however_late_and_missed_only_where_it_is_not_there(bag: Path, tmp_path: Path):
+    from squeal_rig.recording import Bag
+
+    source, late = Bag(bag), tmp_path / "late"
+    with BagWriter(late) as writer:
+        handles = {
+            name: writer.add_topic(name, CLOUD.type_name, schema=CLOUD) for name in source.topics if "samp" in name
+        }
+        handles["/rig/description"] = writer.add_topic("/rig/description", STRING.type_name, schema=STRING)
+        for run in range(2):  # the rig is started anew: its numbers begin at zero again
+            shift, held, number = run * 5 * 10**9, [], -1
+            for message in source.messages():
+                number += message.topic == "/daq/samples"
+                truth = message.topic == "/truth/samples"
+                if truth and 20 <= number < 60:  # a recorder that is held up takes topic by topic
+                    held.append(message)
+                    continue
+                if not (truth and number in (100, 259)):  # these two are lost
+                    writer.write(handles[message.topic], message.data, message.log_time + shift, 10**18)
+                for one in held if number == 60 else ():
+                    writer.write(handles[one.topic], one.data, message.log_time + shift, 10**18)
+                held = [] if number == 60 else held
+    blocks = list(recorded_blocks(Bag(late)))
+    assert [int(b.daq["seq"][0]) for b in blocks] == [512 * number for number in range(260)] * 2
+    assert [place for place, b in enumerate(blocks) if b.truth is None] == [100, 259, 360, 519]
+    assert all(np.array_equal(b.daq["x"], b.truth["x"]) for b in blocks if b.truth is not None)
+
+
 def test_the_run_falls_into_quiet_and_squeal(bag: Path):
     analysis = analyse_bag(bag)
     quiet, squeal = list(segment_rows(analysis))

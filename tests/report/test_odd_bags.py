@@ -1,7 +1,5 @@
 """Bags of others, and bags made to harm: commands answer in a sentence, and nothing steers the terminal."""
 
-import subprocess
-import sys
 from itertools import pairwise
 
 import numpy as np
@@ -15,20 +13,19 @@ from squeal_rig.report.bag_info import bag_info
 from squeal_rig.report.terminal import PlainConsole
 from squeal_rig.samples.export import export_bag
 from squeal_rig.samples.frames import read_array
+from tests.command_line import in_this_process
 from tests.messages import schema_of, string_cdr
 
 CLOUD = schema_of("sensor_msgs/msg/PointCloud2")
 STEERING = "\x1b[2J\x1b]0;title\x07"
 
 
-def squeal_rig(*arguments, inside=None):
+def squeal_rig(*arguments):
     """(exit code, what was printed) of the command line."""
-    command = [sys.executable, "-m", "squeal_rig.cli", *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False, cwd=inside)
-    assert "Traceback" not in done.stderr, done.stderr
-    assert "\x1b" not in done.stdout + done.stderr
-    assert "\x07" not in done.stdout + done.stderr
-    return done.returncode, done.stdout + done.stderr
+    code, output, errors = in_this_process(*arguments)
+    assert "\x1b" not in output + errors
+    assert "\x07" not in output + errors
+    return code, output + errors
 
 
 def cloud_bag(directory, names, topic="/cloud", formats=None, offsets=None, count=3):

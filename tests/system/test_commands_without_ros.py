@@ -23,12 +23,12 @@ def bag(tmp_path_factory, compiled_zones):
     return folder
 
 
-def test_help_pages_work_and_name_every_command(command_line):
-    code, output, errors = command_line("--help")
+def test_help_pages_work_and_name_every_command(in_process):
+    code, output, errors = in_process("--help")
     assert (code, errors) == (0, "")
     assert all(command in output for command in _COMMANDS)
     for command in _COMMANDS:
-        code, output, errors = command_line(command, "--help")
+        code, output, errors = in_process(command, "--help")
         assert (code, errors) == (0, "")
         assert f"{command} [OPTIONS]" in output
 
@@ -102,16 +102,16 @@ def test_analyse_of_a_bag_of_something_else_says_what_is_missing(in_process, tmp
     _assert_one_sentence(*in_process("analyse", tmp_path / "other"), "no topic rig/description")
 
 
-def test_info_tells_topics_times_and_how_the_bag_ended(command_line, bag):
-    code, output, errors = command_line("info", bag)
+def test_info_tells_topics_times_and_how_the_bag_ended(in_process, bag):
+    code, output, errors = in_process("info", bag)
     assert (code, errors) == (0, "")
     for word in ("/daq/samples", "sensor_msgs/msg/PointCloud2", "/rig/description", "201", "complete"):
         assert word in output
 
 
-def test_analyse_writes_a_table_and_a_picture(command_line, bag, tmp_path):
+def test_analyse_writes_a_table_and_a_picture(in_process, bag, tmp_path):
     picture = tmp_path / "squeal.png"
-    code, output, errors = command_line("analyse", bag, "--picture", picture)
+    code, output, errors = in_process("analyse", bag, "--picture", picture)
     assert (code, errors) == (0, "")
     assert "Operating points" in output
     assert picture.read_bytes().startswith(b"\x89PNG")
@@ -143,18 +143,19 @@ def _python(program, *arguments):
 def test_commands_that_need_no_ros_import_none(bag, tmp_path):
     picture = str(tmp_path / "picture.png")
     on_bag = ["info", str(bag)], ["analyse", str(bag), "--picture", picture]
-    for command in (["check", str(config_directory() / "rig.yaml")], *on_bag):
-        program = (
-            "import sys\n"
-            "from squeal_rig import cli\n"
-            f"sys.argv = ['squeal-rig', *{command!r}]\n"
-            "try:\n    code = cli.main()\nexcept SystemExit as end:\n    code = end.code\n"
-            "assert not code, code\n"
-            "ros = [name for name in sys.modules if name.split('.')[0] in ('rclpy', 'sensor_msgs', 'rcl_interfaces')]\n"
-            "assert not ros, ros\n"
-        )
-        result = _python(program)
-        assert result.returncode == 0, result.stderr
+    commands = [["check", str(config_directory() / "rig.yaml")], *on_bag]
+    program = (
+        "import sys\n"
+        "from squeal_rig import cli\n"
+        f"for command in {commands!r}:\n"
+        "    sys.argv = ['squeal-rig', *command]\n"
+        "    try:\n        code = cli.main()\n    except SystemExit as end:\n        code = end.code\n"
+        "    assert not code, (command, code)\n"
+        "    ros = [n for n in sys.modules if n.split('.')[0] in ('rclpy', 'sensor_msgs', 'rcl_interfaces')]\n"
+        "    assert not ros, (command, ros)\n"
+    )
+    result = _python(program)
+    assert result.returncode == 0, result.stderr
 
 
 def test_commands_that_need_ros_say_so_where_it_is_missing(tmp_path):

@@ -82,7 +82,7 @@ def test_a_replay_that_cannot_be_ends_and_says_why(launch, tmp_path):
 
 def test_a_rig_that_died_ends_the_launch_with_a_failure(compiled, launch):
     child = launch("rig.launch.py")
-    _wait_for_word(child, "Ctrl-C ends it", 4)
+    _wait_for_word(child, "Ctrl-C ends it", 5)
     line = next(line for line in _said(child).splitlines() if "[rig-" in line and "started with pid" in line)
     os.kill(int(line.rpartition("[")[2].rstrip("]")), signal.SIGKILL)
     assert child.wait() == 1, _said(child)
@@ -92,11 +92,11 @@ def test_a_rig_that_died_ends_the_launch_with_a_failure(compiled, launch):
 def test_ctrl_c_twice_ends_every_node_of_a_launch_well(compiled, launch):
     for pause in (0.0, 0.05, 0.2, 0.5):
         child = launch("rig.launch.py", "record:=true")
-        _wait_for_word(child, "Ctrl-C ends it", 5)
+        _wait_for_word(child, "Ctrl-C ends it", 6)
         # As a terminal sends it: to launch and to every node.
         for wait in (pause, 0.0):
             os.killpg(child.process.pid, signal.SIGINT)
             time.sleep(wait)
         assert child.wait() == 0, _said(child)
-        assert _said(child).count("process has finished cleanly") == 5, _said(child)
+        assert _said(child).count("process has finished cleanly") == 6, _said(child)
         assert "process has died" not in _said(child)

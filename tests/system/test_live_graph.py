@@ -43,3 +43,35 @@ def test_sampled_time_counts_lost_blocks_and_no_more(graph, numbers, blocks):
     for number in numbers:
         graph._on_daq(_block(number * _ROWS))
     assert graph.sampled_time() == pytest.approx(blocks * _ROWS / _RATE)
+
+
+def _told(graph, node, **listeners):
+    from squeal_rig.graph.conversions import OK, diagnostics, status
+    from squeal_rig.graph.health import LISTENERS
+
+    values = {LISTENERS + topic.replace("__", "/"): count for topic, count in listeners.items()}
+    graph._on_health(diagnostics(0, status(OK, node, "running", values)))
+
+
+def test_a_run_begins_once_every_publisher_counts_who_must_have_its_first_message(graph):
+    wanted = {"daq/samples": 2, "friction/windows": 2}
+    assert not graph.is_heard(wanted)
+    _told(graph, "rig", daq__samples=2)
+    assert not graph.is_heard(wanted)  # the recorder has not found the estimator yet
+    _told(graph, "friction_estimator", friction__windows=1)
+    assert not graph.is_heard(wanted)
+    _told(graph, "friction_estimator", friction__windows=2)
+    assert graph.is_heard(wanted)
+
+
+def test_the_recorder_is_waited_for_on_what_it_records_of_the_estimator(tmp_path):
+    from squeal_rig.session.run import SessionOptions, _wanted_listeners
+
+    config = tmp_path / "rig.yaml"
+    config.write_text("/**/recorder:\n  ros__parameters:\n    topics: ['daq/*', friction/windows]\n")
+    bag = tmp_path / "bag"
+    assert _wanted_listeners(SessionOptions(config), 6) == {"daq/samples": 6, "friction/windows": 1}
+    recorded = _wanted_listeners(SessionOptions(config, bag), 6)
+    assert recorded == {"daq/samples": 6, "friction/samples": 0, "friction/windows": 2, "friction/mu": 0}
+    config.write_text("{}\n")
+    assert _wanted_listeners(SessionOptions(config, bag), 6)["friction/samples"] == 1

@@ -114,12 +114,12 @@ def test_the_bag_keeps_the_logs_of_the_nodes(planned):
     assert not [name for name, text in logs.items() if "Traceback" in text]
 
 
-def test_the_recorded_run_can_be_analysed_and_shown(planned, command_line):
+def test_the_recorded_run_can_be_analysed_and_shown(planned, in_process):
     _, bag = planned
-    code, output, errors = command_line("analyse", bag)
+    code, output, errors = in_process("analyse", bag)
     assert (code, errors) == (0, "")
     assert (bag / "report.png").read_bytes().startswith(b"\x89PNG")
-    code, output, errors = command_line("info", bag)
+    code, output, errors = in_process("info", bag)
     assert (code, errors) == (0, "")
     assert "/stability/summary" in output
 
@@ -168,11 +168,11 @@ def test_a_run_that_cannot_be_is_refused_in_a_sentence_before_anything_starts(in
     assert {path.name for path in tmp_path.iterdir()} == {"bad.yaml", "plan.yaml"}
 
 
-def test_a_bag_that_exists_already_is_not_overwritten(planned, command_line, tmp_path):
+def test_a_bag_that_exists_already_is_refused_before_anything_starts(planned, in_process):
     _, bag = planned
-    before = {path: path.stat().st_mtime_ns for path in bag.glob("*.mcap")}
-    code, _, errors = command_line("run", "--duration", "1", "--bag", bag, cwd=tmp_path, timeout=_PATIENCE)
-    assert code == 2
-    assert "Traceback" not in errors
-    assert str(bag) in errors.replace("\n", "")
-    assert {path: path.stat().st_mtime_ns for path in bag.glob("*.mcap")} == before
+    before = {path: path.stat().st_mtime_ns for path in bag.rglob("*")}
+    code, output, errors = in_process("run", "--duration", "1", "--bag", bag)
+    assert (code, errors.count("\n")) == (2, 1)
+    assert f"The bag directory {bag} exists already and is not empty." in errors
+    assert "node" not in output
+    assert {path: path.stat().st_mtime_ns for path in bag.rglob("*")} == before

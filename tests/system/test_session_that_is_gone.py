@@ -14,7 +14,7 @@ pytest.importorskip("rclpy")
 
 pytestmark = pytest.mark.slow
 
-NODES = {"simulator", "friction_estimator", "stability", "squeal_detector", "recorder"}
+NODES = {"simulator", "friction_estimator", "stability", "squeal_detector", "supervisor", "recorder"}
 
 
 def _children(pid):

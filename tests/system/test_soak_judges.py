@@ -1,0 +1,35 @@
+"""What the long run is judged by finds a leak, and takes noise for none."""
+
+import numpy as np
+import pytest
+
+from tests.soak.slopes import TOLERATED, faults_of, growth
+
+_TIMES = np.arange(0.0, 600.0)
+
+
+@pytest.fixture
+def noise():
+    return np.random.default_rng(1).normal(0.0, 3.0, len(_TIMES))
+
+
+def test_a_leak_is_found_with_its_size(noise):
+    leaking = 150.0 + 0.05 * _TIMES + noise
+    assert growth(_TIMES, leaking) == pytest.approx(0.05 * 450.0, rel=0.1)  # of the last three quarters
+    (sentence,) = faults_of("recorder", "memory", _TIMES, leaking)
+    assert sentence.startswith("recorder: memory grew by 2")
+
+
+def test_noise_peaks_and_a_rise_at_the_begin_are_no_leak(noise):
+    values = 150.0 + noise + 60.0 * np.minimum(_TIMES, 100.0) / 100.0
+    values[::60] += 200.0
+    assert faults_of("rig", "memory", _TIMES, values) == []
+
+
+def test_a_handle_kept_by_every_minute_is_found():
+    assert growth(_TIMES, 20.0 + _TIMES // 60.0) > TOLERATED["handles"] - 1.0
+    assert faults_of("rig", "handles", _TIMES, 20.0 + _TIMES // 30.0) != []
+
+
+def test_a_short_life_is_not_judged():
+    assert growth(_TIMES[:8], _TIMES[:8]) == 0.0
