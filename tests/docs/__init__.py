@@ -1,0 +1,1 @@
+"""What stands in the documentation is true: blocks of code, links, tutorials, notebooks."""

@@ -1,0 +1,348 @@
+"""Runs the soak: `python -m tests.soak --out soak --minutes 10 --seed 1`; exit code 1 where something was found."""
+
+import argparse
+import csv
+import json
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from squeal_rig.configuration.files import config_directory
+from squeal_rig.instruments.channels import block_from_cdr
+from squeal_rig.instruments.warm_up import warm_up
+from squeal_rig.recording import Bag
+from squeal_rig.recording.recover import recover
+from squeal_rig.report.bag_info import sample_counts
+from tests.graph.domains import private_domain
+from tests.graph.observer import Observer
+from tests.graph.processes import Processes, parameters
+from tests.graph.statuses import health_of, status_of
+
+from .slopes import faults_of
+
+_NODES = ("rig", "supervisor", "friction_estimator", "stability", "squeal_detector", "recorder")
+_OWN = {
+    "rig": {"supervisor_required": True},
+    "supervisor": {"nodes": [name for name in _NODES if name != "supervisor"]},
+    "recorder": {"max_file_duration": 60.0},
+}
+_OPERATING_POINT = {"preload": 50.0, "belt_speed": 1.0}
+_KILLS = 20  # in a run of any length
+_RECOVERY = 90.0  # s from the start of a node to its health, on a loaded machine
+_PERIOD = 1.0  # s between two looks
+_BLOCK = 0.01  # s
+_SAMPLES_A_BLOCK = 512
+_MOST_MB = 2000.0  # of bags kept meanwhile: older whole ones are checked, then removed
+
+
+@dataclass
+class Life:
+    """One process of a node, from start to end: what it took every second."""
+
+    name: str
+    child: object
+    begin: float
+    bag: Path | None = None
+    times: list = field(default_factory=list)
+    memory: list = field(default_factory=list)
+    handles: list = field(default_factory=list)
+    ending: str = "ended"
+
+
+class Soak:
+    """The rig, its nodes and what happens to them."""
+
+    def __init__(self, processes, observer, out, seed):
+        self.processes, self.observer, self.out = processes, observer, out
+        self.random = random.Random(seed)
+        self.lives, self.events, self.faults = [], [], []
+        self.running, self.recoveries, self.rows = {}, [], []
+        self.health = observer.follow("/diagnostics", depth=200)
+        self.states = observer.follow("supervisor/state", depth=20)
+        self.delays, self.seen_lost, self._next = [], 0, None
+        observer.listen("daq/samples", self._take, raw=True)
+        self.begin = time.monotonic()
+
+    @property
+    def now(self):
+        return time.monotonic() - self.begin
+
+    def _take(self, data):
+        arrived = time.time_ns()
+        block = block_from_cdr(data)
+        seq = block.samples["seq"]
+        self.delays.append((arrived - block.stamp) / 1e9 - _BLOCK)
+        if self._next is not None and 0 < (ahead := int(seq[0]) - self._next) < 2**31:
+            self.seen_lost += ahead
+        self._next = int(seq[-1]) + 1
+
+    # --- nodes
+
+    def start(self, name):
+        options, bag = dict(_OWN.get(name, {})), None
+        if name == "recorder":
+            bag = options["directory"] = self.out / "bags" / f"{len(self.lives):03d}"
+        if name == "supervisor":
+            self.states.clear()  # those of the one before
+        files = ("--params-file", config_directory() / "rig.yaml")
+        child = self.processes.node(name, *files, *parameters(**options), cwd=self.out)
+        life = Life(name, child, self.now, bag)
+        self.lives.append(life)
+        self.running[name] = life
+        self.health.clear()
+        return life
+
+    def recover(self, life):
+        """Wait until a node says that it is well, and the rig moves; what docs/supervisor.md says is done for that."""
+        begin = time.monotonic()
+        while time.monotonic() - begin < _RECOVERY and life.child.running:
+            self.observer.spin(0.2)
+            self.look()
+            told = health_of(self.health, life.name)
+            if told is not None and self.is_stopped():
+                self.release()
+            elif told is not None and told[0] == 0:
+                self.recoveries.append((life.name, time.monotonic() - begin))
+                return
+        told = health_of(self.health, life.name)
+        self.faults.append(f"{life.name} did not come back within {_RECOVERY:g} s: {told or life.child.errors[-300:]}")
+
+    def told_by_supervisor(self):
+        """(level, sentence) of the supervisor, as it has told last."""
+        found = status_of(self.states[-1], "supervisor") if self.states else None
+        return (found[2]["level"], found[1]) if found else ("ok", "")
+
+    def is_stopped(self):
+        """Whether the rig stands, or is on its way to it, because the supervisor or itself has said so."""
+        rig = health_of(self.health, "rig")
+        return self.told_by_supervisor()[0] not in ("ok", "warn") or (rig is not None and rig[0] == 2)
+
+    def release(self):
+        """One try of the procedure after a trip; who is not back yet refuses it."""
+        try:
+            if self.told_by_supervisor()[0] not in ("ok", "warn"):
+                self.observer.set({"reset_reason": "the soak killed a node"}, node="supervisor")
+                if not self.observer.trigger("reset", rig="supervisor")[0]:
+                    return
+            if self.observer.trigger("reset")[0]:
+                self.observer.set(_OPERATING_POINT)
+        except AssertionError:  # no answer yet
+            return
+
+    def kill(self):
+        """End one node, the hard way or by a signal, and start it again."""
+        life = self.running[self.random.choice(_NODES)]
+        number = self.random.choice((signal.SIGKILL, signal.SIGTERM, signal.SIGINT))
+        life.ending = number.name
+        self.events.append((self.now, f"{number.name} {life.name}"))
+        life.child.send(number)
+        try:
+            code = life.child.wait(60.0)
+        except subprocess.TimeoutExpired:
+            self.faults.append(f"{life.name} still runs 60 s after {number.name}")
+            life.child.kill()
+        else:
+            if number != signal.SIGKILL and code != 0:
+                self.faults.append(f"{life.name} ended with exit code {code} after {number.name}")
+        self.recover(self.start(life.name))
+
+    # --- what happens
+
+    def act(self):
+        """One change of parameters, or a hit, or a reset."""
+        pick = self.random.random()
+        try:
+            if pick < 0.5:
+                values = {"preload": self.random.uniform(20.0, 300.0), "belt_speed": self.random.uniform(1.0, 4.0)}
+                what = self.observer.set(values)
+            elif pick < 0.85:
+                what = self.observer.trigger("impact")
+            else:
+                what = self.observer.trigger("reset")
+        except AssertionError as error:
+            what = f"no answer: {error}"
+            self.faults.append(f"the rig did not answer at {self.now:.0f} s: {error}")
+        self.events.append((self.now, str(what)))
+
+    def look(self):
+        """Note what every node takes, once a second."""
+        if self.rows and self.now - self.rows[-1][0] < _PERIOD:
+            return
+        delays, self.delays = self.delays, []
+        late = np.percentile(delays, (50.0, 99.0)) * 1e3 if delays else (float("nan"), float("nan"))
+        row = [self.now, *late, self.seen_lost]
+        for name, life in self.running.items():
+            if life.child.running:
+                pid = life.child.process.pid
+                try:
+                    memory, handles = life.child.memory(), len(list(Path(f"/proc/{pid}/fd").iterdir()))
+                except (OSError, TypeError):  # it has just ended
+                    continue
+                life.times.append(self.now)
+                life.memory.append(memory)
+                life.handles.append(handles)
+            elif life.ending == "ended":
+                life.ending = "died"
+                self.faults.append(f"{name} ended by itself with exit code {life.child.wait()}")
+        self.rows.append(row)
+
+    def run(self, seconds):
+        for life in [self.start(name) for name in _NODES]:
+            self.recover(life)
+        self.observer.wait_for_listeners("daq/samples", len(_NODES))
+        self.recoveries.clear()
+        begin = self.now
+        end = begin + seconds
+        kills = iter(sorted(begin + seconds * (k + self.random.random()) / _KILLS for k in range(_KILLS)))
+        next_kill, next_action = next(kills), begin
+        campaign = None
+        while self.now < end:
+            self.observer.spin(0.2)
+            self.look()
+            if self.is_stopped():
+                self.events.append((self.now, f"trip: {self.told_by_supervisor()[1]}"))
+                self.recover(self.running["rig"])
+            if self.now > next_action:
+                self.act()
+                next_action = self.now + self.random.uniform(1.0, 6.0)
+            if self.now > next_kill:
+                self.kill()
+                self.keep_the_disk_free()
+                next_kill = next(kills, float("inf"))
+            if campaign is None and self.now > begin + 0.25 * seconds:
+                campaign = self.start_campaign()
+        if campaign is None or campaign.wait(600.0) != 0:
+            self.faults.append(f"the campaign beside: {campaign and campaign.errors[-300:]}")
+        self.running["recorder"].child.end()
+        for life in self.running.values():
+            if life.child.running:
+                life.ending = "SIGINT"
+                life.child.end()
+
+    def start_campaign(self):
+        """A campaign by the engine, beside all that."""
+        plan = config_directory() / "campaigns" / "smoke.yaml"
+        return self.processes.command("campaign", "run", plan, "--out", self.out / "campaign", "--workers", "0")
+
+    # --- judgement
+
+    def keep_the_disk_free(self):
+        """Check and remove bags that are whole once they take too much."""
+        bags = [life for life in self.lives if life.bag and not life.child.running and life.bag.is_dir()]
+        size = sum(file.stat().st_size for file in (self.out / "bags").rglob("*.mcap")) / 1e6
+        for life in bags if size > _MOST_MB else []:
+            self.check_bag(life)
+            shutil.rmtree(life.bag, ignore_errors=True)
+
+    def check_bag(self, life):
+        """No sample is lost in a bag that the bag does not count itself."""
+        path = life.bag
+        if life.ending == "SIGKILL":
+            path = life.bag.with_name(f"{life.bag.name}_recovered")
+            recover(life.bag, path)
+        bag = Bag(path)
+        told = int(bag.custom_data.get("lost_messages", 0)) * _SAMPLES_A_BLOCK
+        for topic, count in sample_counts(bag).items():
+            if count.damaged:
+                self.faults.append(f"{path.name}: {count.damaged} damaged blocks of {topic}")
+            if count.lost > told and topic.endswith("/samples") and "friction" not in topic:
+                self.faults.append(f"{path.name}: {count.lost} samples of {topic} are missing, {told} were reported")
+
+    def judge(self):
+        for life in self.lives:
+            for kind, values in (("memory", life.memory), ("handles", life.handles)):
+                if len(life.times) >= 60:
+                    self.faults += faults_of(f"{life.name} from {life.begin:.0f} s", kind, life.times, values)
+            if life.bag is not None and life.bag.is_dir():
+                self.check_bag(life)
+        return self.faults
+
+    def write(self):
+        with (self.out / "soak.csv").open("w", newline="", encoding="utf-8") as file:
+            table = csv.writer(file)
+            table.writerow(("node", "life", "t [s]", "memory [MB]", "handles"))
+            for number, life in enumerate(self.lives):
+                for row in zip(life.times, life.memory, life.handles, strict=True):
+                    table.writerow((life.name, number, *(f"{value:.6g}" for value in row)))
+        slowest = max((seconds for _, seconds in self.recoveries), default=0.0)
+        late = np.array([row[2] for row in self.rows])
+        verdict = {
+            "faults": self.faults,
+            "seconds": round(self.now),
+            "kills": sum(what.startswith("SIG") for _, what in self.events),
+            "trips between kills": sum(what.startswith("trip") for _, what in self.events),
+            "recovered from both": len(self.recoveries),
+            "slowest recovery [s]": round(slowest, 1),
+            "actions": sum(not what.startswith(("SIG", "trip")) for _, what in self.events),
+            "latency p99, median over the seconds [ms]": round(float(np.nanmedian(late)), 2),
+            "latency p99, worst second [ms]": round(float(np.nanmax(late)), 1),
+            "samples that the observer missed": self.seen_lost,
+        }
+        (self.out / "soak.json").write_text(json.dumps(verdict, indent=2) + "\n", encoding="utf-8")
+        self.draw()
+        return verdict
+
+    def draw(self):
+        import matplotlib.pyplot as plt
+
+        figure, axes = plt.subplots(4, 1, figsize=(11, 11), sharex=True, layout="constrained")
+        for color, name in zip(plt.rcParams["axes.prop_cycle"].by_key()["color"], _NODES, strict=False):
+            for number, life in enumerate(life for life in self.lives if life.name == name):
+                label = name if number == 0 else None
+                axes[0].plot(life.times, life.memory, color=color, label=label)
+                axes[1].plot(life.times, life.handles, color=color, label=label)
+        rows = np.array(self.rows)
+        axes[2].semilogy(rows[:, 0], rows[:, 1], label="median")
+        axes[2].semilogy(rows[:, 0], rows[:, 2], label="p99")
+        axes[3].plot(rows[:, 0], rows[:, 3])
+        labels = ("memory [MB]", "open files", "block to observer,\nlatency [ms]", "samples the observer\nmissed")
+        for axis, label in zip(axes, labels, strict=True):
+            axis.set_ylabel(label)
+            axis.grid(alpha=0.4)
+            for at, what in self.events:
+                if what.startswith("SIG"):
+                    axis.axvline(at, color="0.6", lw=0.7, ls=":")
+        axes[0].legend(ncols=len(_NODES), fontsize="small")
+        axes[2].legend(fontsize="small")
+        axes[0].set_title("Full load; dotted: a node was killed or ended, and started again")
+        axes[-1].set_xlabel("time [s]")
+        figure.savefig(self.out / "soak.png", dpi=110)
+
+
+def main():
+    parser = argparse.ArgumentParser(prog="python -m tests.soak")
+    parser.add_argument("--out", type=Path, default=Path("soak"))
+    parser.add_argument("--minutes", type=float, default=10.0)
+    parser.add_argument("--hours", type=float)
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args()
+    seconds = options.hours * 3600.0 if options.hours else options.minutes * 60.0
+    out = options.out.resolve()
+    for folder in ("bags", "campaign"):
+        shutil.rmtree(out / folder, ignore_errors=True)
+    warm_up()  # else the nodes compile all at once, each for itself
+    (out / "logs").mkdir(parents=True, exist_ok=True)
+    with private_domain() as domain:
+        processes, observer = Processes(domain, out / "logs"), Observer(domain)
+        soak = Soak(processes, observer, out, options.seed)
+        try:
+            soak.run(seconds)
+        finally:
+            observer.close()
+            processes.end_all()
+        soak.judge()
+        verdict = soak.write()
+    shutil.rmtree(out / "bags", ignore_errors=True)
+    sys.stdout.write(json.dumps(verdict, indent=2) + "\n")
+    return 1 if verdict["faults"] else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,35 @@
+"""Whether a series grows: what of memory and handles is judged by."""
+
+import numpy as np
+
+# What a node takes up in its first time is no leak: caches, queues, the first of everything.
+_WARM_UP = 0.25
+_POINTS = 200
+#: Growth over a life that is none yet: [MB] of memory, handles.
+TOLERATED = {"memory": 8.0, "handles": 6.0}
+
+
+def growth(times, values):
+    """Growth over the observed time, by the median of all slopes (Theil, Sen), after the first quarter of it.
+
+    Medians, since a splitting recorder or a map that is computed makes single high values.
+    """
+    times, values = np.asarray(times, float), np.asarray(values, float)
+    late = times >= times[0] + _WARM_UP * (times[-1] - times[0])
+    times, values = times[late], values[late]
+    if len(times) < 10:
+        return 0.0
+    groups = np.array_split(np.arange(len(times)), min(_POINTS, len(times)))
+    t = np.array([times[group].mean() for group in groups])
+    v = np.array([np.median(values[group]) for group in groups])
+    later, earlier = np.triu_indices(len(t), 1)[::-1]
+    return float(np.median((v[later] - v[earlier]) / (t[later] - t[earlier])) * (t[-1] - t[0]))
+
+
+def faults_of(name, kind, times, values):
+    """A sentence where a series of one life grows by more than is tolerated, else nothing."""
+    grown = growth(times, values)
+    if grown <= TOLERATED[kind]:
+        return []
+    unit = " MB" if kind == "memory" else ""
+    return [f"{name}: {kind} grew by {grown:.1f}{unit} within {times[-1] - times[0]:.0f} s of one life"]
