@@ -7,7 +7,8 @@ ARGS ?=
 # How long the fuzz suite runs.
 MINUTES ?= 2
 
-.PHONY: help demo reproduce test test-slow fuzz lint bench bench-bags docs evidence clean
+.PHONY: help demo reproduce test test-slow test-long test-docs faults fuzz lint bench bench-bags docs docs-site policy evidence
+.PHONY: soak dist audit lowest pythons extras clean
 .DEFAULT_GOAL := help
 
 # A ROS installation or another environment around us would mix its libraries with ours.
@@ -19,13 +20,25 @@ help:
 	@echo "make reproduce  the paper's figures and tables beside its numbers; leaves reproduction/"
 	@echo "make test       run the tests (ARGS: options for pytest)"
 	@echo "make test-slow  what starts and ends processes many times: signals, sessions that are gone, rigs of one name"
+	@echo "make test-long  half an hour of stable running without an alarm, 400 fits whose intervals must hold, 700 hits and zones by"
+	@echo "                force, a live campaign that is killed"
+	@echo "make test-docs  every tutorial from start to end, and the Python of every page"
+	@echo "make faults     break the rig in some forty ways and see where it ends; writes docs/faults.md"
 	@echo "make fuzz       inputs that nobody means well, for two minutes (MINUTES=30: for longer); fuzz_findings/ has what it finds"
 	@echo "make lint       check style, types and imports"
 	@echo "make bench      measure speed against peers, and the live node; writes docs/benchmarks.md"
-	@echo "                ARGS=engine, ARGS=cycles or ARGS=nodes for one of them, ARGS=\"nodes --minutes 10\" for the long run"
+	@echo "                ARGS=engine, cycles, instruments, nodes, stops, campaigns or page for one, ARGS=\"nodes --minutes 10\" for the long run"
 	@echo "make bench-bags long series of tests of bags; recording, replay, export at full load (half an hour)"
 	@echo "make docs       write docs/parameters.md anew from the code"
+	@echo "make docs-site  build the documentation site into docs/_build/html"
+	@echo "make policy     write config/security/policy.xml anew from the running nodes"
 	@echo "make evidence   search anew for docs/evidence/*.csv, half an hour"
+	@echo "make soak       full load for ten minutes, nodes killed and started again; fails on a slope; soak/ (HOURS=8)"
+	@echo "make dist       build sdist and wheel into dist/ and check them"
+	@echo "make audit      look for known vulnerabilities in what is installed; write a bill of materials into dist/"
+	@echo "make lowest     run the tests on the oldest dependencies that setup.py admits, with Python 3.10 or 3.11 (OLDEST=python3.11)"
+	@echo "make pythons    install the wheel with every Python from 3.10 to 3.14 that is here, and start the simulator"
+	@echo "make extras     install the wheel with each of its extras alone"
 	@echo "make clean      remove .venv, caches and build output; recordings stay"
 	@echo "Another Python: make PYTHON=python3.12 ..."
 
@@ -35,19 +48,32 @@ demo: .venv/.ready
 reproduce: .venv/.ready
 	.venv/bin/squeal-rig reproduce $(ARGS)
 
-# What computes runs on two cores; what starts ROS graphs, five processes and more each, one after another.
-GRAPHS := tests/nodes tests/system tests/bags
+# What computes, then what starts ROS graphs: five processes and more each, in domains of their own. The page comes last
+# and alone: a graph of its own and a browser are all that two cores carry.
+GRAPHS := tests/nodes tests/system tests/bags tests/faults
+PAGE := tests/page
+TWO := -n 2 --dist loadfile
 
 test: .venv/.ready
 ifeq ($(ARGS),)
-	$(PY) -m pytest -n 2 --dist loadfile $(addprefix --ignore=,$(GRAPHS))
-	$(PY) -m pytest $(GRAPHS)
+	$(PY) -m pytest $(TWO) $(addprefix --ignore=,$(GRAPHS) $(PAGE))
+	$(PY) -m pytest $(TWO) $(GRAPHS)
+	$(PY) -m pytest $(PAGE)
 else
 	$(PY) -m pytest $(ARGS)
 endif
 
 test-slow: .venv/.ready
 	$(PY) -m pytest -m slow $(ARGS)
+
+test-long: .venv/.ready
+	$(PY) -m pytest -m long tests $(ARGS)
+
+test-docs: .venv/.ready
+	$(PY) -m pytest -n 2 -m docs tests/docs $(ARGS)
+
+faults: .venv/.ready
+	FAULTS_TABLE=docs/faults.md $(PY) -m pytest -m "slow or not slow" tests/faults $(ARGS)
 
 # One command after another and one graph, so that a deadline is one of the input and not of the machine.
 fuzz: .venv/.ready
@@ -69,12 +95,49 @@ bench-bags: .venv/.ready
 docs: .venv/.ready
 	$(PY) -m squeal_rig.catalogue.parameter_table > docs/parameters.md
 
+docs-site: .venv/.docs
+	$(PY) -m sphinx -W --keep-going -q -b html docs docs/_build/html
+	@echo "docs/_build/html/index.html"
+
+soak: .venv/.ready
+	$(PY) -m tests.soak --out soak $(if $(HOURS),--hours $(HOURS)) $(ARGS)
+
+policy: .venv/.ready
+	$(PY) -m tests.graph.policies config/security/policy.xml
+
 evidence: .venv/.ready
 	$(PY) -m squeal_rig.studies.inverse.evidence docs/evidence $(ARGS)
 
+dist: .venv/.dist
+	rm -rf build dist squeal_rig.egg-info
+	$(PY) -m build
+	$(PY) -m twine check --strict dist/*
+
+# The database is asked through pip-audit's own client; where the machine does not reach it, that is said in one line.
+audit: .venv/.dist
+	@mkdir -p dist
+	@$(PY) -m pip_audit --progress-spinner off --skip-editable -f cyclonedx-json -o dist/bill-of-materials.json \
+	  2>dist/audit.log; code=$$?; if [ -s dist/bill-of-materials.json ]; then grep -v '^WARNING' dist/audit.log; exit $$code; \
+	else echo "make audit: left out, the database of vulnerabilities was not reached (dist/audit.log)"; fi
+
+# numba's and SciPy's oldest have no wheels for Python 3.12 and later. Two numbas of one Python would take each other's
+# compiled code away, beside the package.
+OLDEST ?= $(firstword $(foreach python,python3.10 python3.11,$(shell $(python) -c 'import ensurepip, venv' 2>/dev/null && echo $(python))) $(PYTHON))
+lowest: .venv/.ready
+	$(OLDEST) -m venv --clear .venv-lowest
+	$(PY) .ci/lowest.py > .venv-lowest/lowest.txt
+	.venv-lowest/bin/python -m pip install -qq --constraint .venv-lowest/lowest.txt --editable '.[jazzy,test]'
+	NUMBA_CACHE_DIR=$(CURDIR)/.venv-lowest/numba .venv-lowest/bin/python -m pytest $(ARGS)
+
+pythons: dist
+	.ci/pythons dist/*.whl
+
+extras: dist
+	.ci/extras dist/*.whl
+
 clean:
-	rm -rf .venv build install log dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .import_linter_cache
-	rm -rf .hypothesis
+	rm -rf .venv .venv-lowest build install log dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .import_linter_cache
+	rm -rf .hypothesis docs/_build docs/reference/commands.md docs/reference/python.md
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # --- the environment -------------------------------------------------------------------------------------
@@ -95,6 +158,14 @@ clean:
 
 .venv/.lint: .venv/.ready
 	$(PY) -m pip install -qq --editable '.[lint]'
+	@touch $@
+
+.venv/.docs: .venv/.ready
+	$(PY) -m pip install -qq --editable '.[docs]'
+	@touch $@
+
+.venv/.dist: .venv/.ready
+	$(PY) -m pip install -qq --editable '.[dist]'
 	@touch $@
 
 # The version of .venv's Python, and nothing where there is none or it no longer runs.
