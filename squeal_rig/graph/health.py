@@ -19,6 +19,9 @@ Health = tuple[bytes, str, Mapping[str, Any]]
 #: Key of a health value, before a topic: subscribers of it that no message is lost for from now on.
 LISTENERS = "listeners to "
 
+#: Key of the recorder's health value: the topics of whose publishers it knows.
+HEARD = "heard"
+
 
 def listeners(publishers: Mapping[str, Any]) -> dict[str, int]:
     """Health values: how many subscribers each publisher, by its topic, counts itself.

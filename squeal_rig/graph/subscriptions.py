@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -27,7 +27,8 @@ class _Topic:
     type_name: str
     taken: Taken
     request: QoSProfile
-    subscription: Any
+    subscription: Any = field(init=False)
+    publishers: int = 0  # that the subscription has found
 
 
 class TopicSubscriptions:
@@ -52,6 +53,11 @@ class TopicSubscriptions:
 
     def __len__(self) -> int:
         return len(self._topics)
+
+    @property
+    def heard(self) -> list[str]:
+        """Topics whose publishers the subscription has found itself: it gets what they publish from now on."""
+        return sorted(name for name, topic in self._topics.items() if topic.publishers > 0)
 
     def discover(self) -> None:
         """Subscribe to wanted topics that have a publisher by now."""
@@ -79,8 +85,8 @@ class TopicSubscriptions:
             self.unknown[topic] = str(error)
             self._node.get_logger().warning(f"{topic} is not recorded: {error}")
             return
-        request = requested_qos(offered)
-        self._topics[topic] = _Topic(types[0], taken, request, self._subscribe(topic, types[0], taken, request))
+        self._topics[topic] = known = _Topic(types[0], taken, requested_qos(offered))
+        self._subscribe(topic, known)
 
     def _adapt(self, topic: str, known: _Topic, offered: list[QosProfile]) -> None:
         """Ask for less where a publisher that came later offers less; never for more."""
@@ -91,16 +97,20 @@ class TopicSubscriptions:
         if request.reliability > now.reliability or request.durability > now.durability:  # a larger number is weaker
             self._node.get_logger().info(f"{topic}: asking for less, since a new publisher offers less")
             self._node.destroy_subscription(known.subscription)
-            known.request, known.subscription = request, self._subscribe(topic, known.type_name, known.taken, request)
+            known.request, known.publishers = request, 0
+            self._subscribe(topic, known)
 
-    def _subscribe(self, topic: str, type_name: str, taken: Taken, request: QoSProfile) -> Any:
-        return self._node.create_subscription(
-            message_class(type_name),
+    def _subscribe(self, topic: str, known: _Topic) -> None:
+        def matched(info: Any) -> None:
+            known.publishers = info.current_count
+
+        known.subscription = self._node.create_subscription(
+            message_class(known.type_name),
             topic,
-            taken,
-            request,
+            known.taken,
+            known.request,
             raw=True,
-            event_callbacks=SubscriptionEventCallbacks(message_lost=self._on_lost),
+            event_callbacks=SubscriptionEventCallbacks(message_lost=self._on_lost, matched=matched),
         )
 
     def _on_lost(self, info: Any) -> None:

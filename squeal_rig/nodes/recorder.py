@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 from squeal_rig.errors import DiskError, RecordingError
 from squeal_rig.graph import qos
 from squeal_rig.graph.conversions import ERROR, OK, WARN, status_values
-from squeal_rig.graph.health import Health, HealthPublisher
+from squeal_rig.graph.health import HEARD, Health, HealthPublisher
 from squeal_rig.graph.lifetime import STEADY, Lifetime, run_node
 from squeal_rig.graph.parameter_watch import ParameterWatch, Values
 from squeal_rig.graph.parameters import NODE_OPTIONS, DeclaredParameters
@@ -160,6 +160,7 @@ class RecorderNode(Node):
             "bytes": session.bytes_written,
             "messages": session.message_count,
             "topics": len(self._topics),
+            HEARD: ", ".join(self._topics.heard),
             "lost messages": self._lost,
             "refused messages": session.refused,
             "in memory [s]": round(session.seconds_in_memory, 1),

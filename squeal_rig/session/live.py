@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -26,7 +26,7 @@ from squeal_rig.estimation.stability_follower import DESCRIPTION_KEY, IN_FORCE, 
 from squeal_rig.experiments.engine import RunEvent
 from squeal_rig.graph import qos
 from squeal_rig.graph.conversions import ERROR, OK, diagnostics, status, status_number, status_values
-from squeal_rig.graph.health import LISTENERS
+from squeal_rig.graph.health import HEARD, LISTENERS
 from squeal_rig.graph.lifetime import GuardedExecutor
 from squeal_rig.graph.names import Claim, is_running
 from squeal_rig.instruments.acquisition import NOT_MOVABLE
@@ -75,6 +75,7 @@ class LiveState:
     recorded_bytes: float = math.nan
     trip: str = ""
     listeners: dict[str, int] = field(default_factory=dict)  # as the publishers of the topics count them
+    recorded: frozenset[str] = frozenset()  # topics whose publishers the recorder knows
     health: dict[str, tuple[int, str]] = field(default_factory=dict)
 
 
@@ -141,6 +142,13 @@ class LiveGraph:
         """
         counts = self.state.listeners
         return all(counts.get(topic, 0) >= max(count, self.listeners(topic)) for topic, count in wanted.items())
+
+    def is_recorded(self, wanted: Iterable[str]) -> bool:
+        """Whether the recorder knows the publishers of all those topics.
+
+        A publisher may count a reader before that one knows of it, and takes what it holds for it along when it ends.
+        """
+        return self.state.recorded.issuperset(map(self._node.resolve_topic_name, wanted))
 
     def transition(self, number: int, timeout: float) -> None:
         """Take the rig through a lifecycle transition; `ExperimentError` when it fails."""
@@ -340,6 +348,7 @@ class LiveGraph:
             self.state.health[found.name] = (int.from_bytes(found.level, "little"), found.message)
             if found.name.split("/")[-1] == "recorder":
                 self.state.recorded_bytes = status_number(found, "bytes")
+                self.state.recorded = frozenset(status_values(found).get(HEARD, "").split(", "))
             self.state.listeners |= {
                 key.removeprefix(LISTENERS): int(value)
                 for key, value in status_values(found).items()

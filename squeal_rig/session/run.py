@@ -181,6 +181,10 @@ def _start(options: SessionOptions, nodes: list[NodeProcess], logs: Path, graph:
         nodes.append(NodeProcess("recorder", logs, [*files, "-p", f"directory:={options.bag}"]))
     wanted = _wanted_listeners(options, len(nodes))
     graph.wait_for(lambda: graph.is_heard(wanted), "all nodes listening", _START_TIMEOUT)
+    if options.bag is not None:
+        sampled = [name for name in ("daq/samples", "truth/samples") if name in graph.state.listeners]
+        recorded = [name for name in sampled if matching_topics([f"/{name}"], _recorded(options))]
+        graph.wait_for(lambda: graph.is_recorded(recorded), "the recorder's knowledge of the samples", _START_TIMEOUT)
     graph.transition(Transition.TRANSITION_ACTIVATE, _START_TIMEOUT)
     graph.wait_for(lambda: graph.sampled_time() > 0.0, "the first block of samples", _START_TIMEOUT)
 
@@ -189,10 +193,16 @@ def _wanted_listeners(options: SessionOptions, nodes: int) -> dict[str, int]:
     """Topic -> listeners that are waited for: the bag then begins with the run, in what is estimated too."""
     wanted = {"daq/samples": nodes, "friction/windows": 1}  # all nodes but the rig, and ourselves
     if options.bag is not None:
-        recorded = _parameter(options.config, "recorder", "topics", DEFAULT_TOPICS)
+        recorded = _recorded(options)
         for name in ("friction/samples", "friction/windows", "friction/mu"):
             wanted[name] = wanted.get(name, 0) + len(matching_topics([f"/{name}"], recorded))
     return wanted
+
+
+def _recorded(options: SessionOptions) -> Sequence[str]:
+    """Patterns of the topics that the recorder writes."""
+    patterns: Sequence[str] = _parameter(options.config, "recorder", "topics", DEFAULT_TOPICS)
+    return patterns
 
 
 def _has_own_clock(config: Path) -> bool:

@@ -61,6 +61,7 @@ def test_late_topics_of_any_type_and_publishers_that_offer_less_are_recorded(pro
     first = observer.node.create_publisher(Twist, "/late", 10)
     observer.wait_for(lambda: told(health, "topics") > before, "the late topic")
     observer.wait_for(lambda: first.get_subscription_count() == 1, "its subscription")
+    observer.wait_for(lambda: "/late" in health_of(health, "recorder")[2]["heard"].split(", "), "its publisher heard")
     first.publish(Twist())
     # Reliable until now; a best-effort publisher beside it needs a subscription that asks for less.
     second = observer.node.create_publisher(

@@ -64,6 +64,23 @@ def test_a_run_begins_once_every_publisher_counts_who_must_have_its_first_messag
     assert graph.is_heard(wanted)
 
 
+def test_a_run_begins_once_the_recorder_knows_who_publishes_the_samples(graph):
+    from squeal_rig.graph.conversions import OK, diagnostics, status
+    from squeal_rig.graph.health import HEARD
+
+    def told(heard):
+        graph._on_health(diagnostics(0, status(OK, "recorder", "recording", {"bytes": 0, HEARD: heard})))
+
+    wanted = ["daq/samples", "truth/samples"]
+    assert not graph.is_recorded(wanted)
+    told("")
+    assert not graph.is_recorded(wanted)
+    told("/daq/samples, /pad/state")
+    assert not graph.is_recorded(wanted)
+    told("/daq/samples, /pad/state, /truth/samples")
+    assert graph.is_recorded(wanted)
+
+
 def test_the_recorder_is_waited_for_on_what_it_records_of_the_estimator(tmp_path):
     from squeal_rig.session.run import SessionOptions, _wanted_listeners
 
