@@ -207,6 +207,11 @@ class Picture:
             self._progress = Progress()
 
     @property
+    def trend(self) -> float:
+        """How far back trends go [s]: a minute, or all of a bag that is shorter."""
+        return min(TREND, max(self._duration, 1.0)) if self._bag else TREND
+
+    @property
     def rig(self) -> RigDescription | None:
         """The rig's description, once it has come."""
         return self._description
@@ -243,7 +248,7 @@ class Picture:
             "dark": DARK_DB,
             "bright": BRIGHT_DB,
             "high": SPECTRUM_HIGH,
-            "trend": TREND,
+            "trend": self.trend,
         }
         return packed("hello", values)
 

@@ -14,14 +14,13 @@ from squeal_rig.errors import RecordingError
 from squeal_rig.instruments.channels import DAQ_CHANNELS, FRICTION_WINDOW_NEEDED, block_from_cdr
 from squeal_rig.instruments.description import RigDescription
 from squeal_rig.page.packing import packed
-from squeal_rig.page.picture import COLUMNS_PER_SECOND, TREND, Picture, Status, column
+from squeal_rig.page.picture import COLUMN_LINES, COLUMNS_PER_SECOND, TREND, Picture, Status, column
 from squeal_rig.recording import Bag, RawMessage, decoder_of
 from squeal_rig.samples.blocks import DAQ, DESCRIPTION, rig_topic, text_reader
 
 _WINDOW = 0.25  # a time shows the samples of so long before it [s]
 # Columns of a spectrogram read at one asking: each costs a chunk of the bag.
 _MOST_COLUMNS = 60
-_COLUMN_SPACING = TREND / _MOST_COLUMNS
 _OTHERS = {
     "squeal": "squeal/state",
     "stability": "stability/summary",
@@ -49,7 +48,8 @@ class RecordedPicture:
             what: decoder_of(self.bag.topics[topic].schema) for what, topic in self._others.items() if what != "windows"
         }
         self.picture = Picture(False, path.name, self.bag.duration)
-        self._columns: dict[int, NDArray[np.uint8] | None] = {}
+        self._columns: dict[int, NDArray[np.uint8]] = {}
+        self._repeat = math.ceil(self.picture.trend * COLUMNS_PER_SECOND / _MOST_COLUMNS)  # of each column that is read
         # Described and analysed once, mostly before the first sample: kept from the beginning of the bag on.
         wanted = [description, *(self._others[w] for w in ("stability", "run") if w in self._others)]
         self._latched = [(m.log_time, m.topic, m.data) for m in self.bag.messages(wanted)]
@@ -104,19 +104,18 @@ class RecordedPicture:
         rig = self.picture.rig
         if rig is None:
             return []
-        last = math.floor((now - self.bag.start_time) * 1e-9 / _COLUMN_SPACING)
-        repeat = round(_COLUMN_SPACING * COLUMNS_PER_SECOND)
+        spacing = self._repeat / COLUMNS_PER_SECOND
+        last = math.floor((now - self.bag.start_time) * 1e-9 / spacing)
         columns = []
         for number in range(max(0, last - _MOST_COLUMNS + 1), last + 1):
             if number not in self._columns:
-                end = min(self.bag.start_time + round((number + 0.5) * _COLUMN_SPACING * 1e9), self.bag.end_time)
+                end = min(self.bag.start_time + round((number + 0.5) * spacing * 1e9), self.bag.end_time)
                 blocks = [block["x"] for block in self._blocks(end, _WINDOW / 2)]
                 samples = np.concatenate(blocks) if blocks else np.zeros(0)
                 sound = len(samples) > 1 and np.isfinite(samples).all()
-                self._columns[number] = column(samples, rig.sample_rate) if sound else None
-            found = self._columns[number]
-            if found is not None:
-                columns += [found] * repeat
+                # A time without samples is dark: those before it keep their distance from now.
+                self._columns[number] = column(samples, rig.sample_rate) if sound else np.zeros(COLUMN_LINES, np.uint8)
+            columns += [self._columns[number]] * self._repeat
         return columns
 
 

@@ -1,11 +1,14 @@
 """What the page shows, against what was put in."""
 
+from pathlib import Path
+
 import numpy as np
 
 from squeal_rig.instruments.channels import DAQ_RECORD
 from squeal_rig.instruments.description import RigDescription
 from squeal_rig.model import RigParameters
 from squeal_rig.page.picture import COLUMN_LINES, Picture
+from squeal_rig.page.recorded import RecordedPicture
 from squeal_rig.page.sound import Sound
 from tests.page.test_server import unpacked
 
@@ -51,3 +54,15 @@ def test_sound_begins_anew_after_what_is_not_finite():
         heard += [unpacked(message) for _, message in sound.take_block(daq, rate)]
     assert {head["origin"] for head, _ in heard} == {0, 512 * 8}
     assert all(np.isfinite(arrays["sound"]).all() for _, arrays in heard)
+
+
+def test_trends_of_a_short_bag_span_the_bag():
+    recorded = RecordedPicture(Path(__file__).parents[2] / "bags" / "reference")
+    duration = recorded.bag.duration
+    assert 1.0 < duration < 3.0
+    head, _ = unpacked(recorded.picture.hello())
+    assert head["trend"] == duration
+    head, arrays = unpacked(recorded.at(duration)[1])
+    columns = np.frombuffer(arrays["spectrogram"], np.uint8).reshape(head["columns"], COLUMN_LINES)
+    assert len(columns) == int(4.0 * duration) + 1  # one a quarter of a second
+    assert len({bytes(column) for column in columns[1:]}) == len(columns) - 1  # each read by itself

@@ -204,7 +204,7 @@ const page = (() => {
     const mu = toldBy("friction_estimator") ? state.counts.mu || {} : {};
     const seen = toldBy("stability") ? n : {};
     const rows = [
-      ["the rig says", !live ? "-" : stopped ? told.safe.message : rig ? rig.message : "nothing"],
+      ...(live ? [["the rig says", stopped ? told.safe.message : rig ? rig.message : "nothing"]] : []),
       ["zone", seen.zone || "-"],
       ["stability", seen.unstable === undefined ? "-" : `${seen.unstable ? "unstable" : "stable"}, margin ${shown(seen.margin, 3)}`],
       ["preload in force", shown(n.preload, 5, "N")], ["preload set", shown(set.preload, 5, "N")],
@@ -382,13 +382,13 @@ const page = (() => {
   const buffer = document.createElement("canvas");
   function picture(view, bytes, columns) {
     if (!columns) return;
-    const lines = bytes.length / columns, most = 4 * hello.trend;
+    const lines = bytes.length / columns, most = Math.max(4 * hello.trend, columns);
     buffer.width = columns; buffer.height = lines;
     const pen = buffer.getContext("2d"), image = pen.createImageData(columns, lines);
     const out = new Uint32Array(image.data.buffer);
     for (let c = 0; c < columns; c++) for (let l = 0; l < lines; l++) out[(lines - 1 - l) * columns + c] = plots.colours[bytes[c * lines + l]];
     pen.putImageData(image, 0, 0);
-    const { box } = view, width = (box.right - box.left) * Math.min(1, columns / most);
+    const { box } = view, width = (box.right - box.left) * columns / most;
     view.pen.imageSmoothingEnabled = false;
     view.pen.drawImage(buffer, box.right - width, box.top, width, box.bottom - box.top);
   }
