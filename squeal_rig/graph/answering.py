@@ -13,6 +13,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from squeal_rig.graph.beside import READY
+
 # The nodes' callbacks come first.
 _NICENESS = 19
 
@@ -32,6 +34,8 @@ def answer_beside(answer: Callable[[str], Any]) -> int:
         os._exit(0)
 
     threading.Thread(target=listen, daemon=True).start()
+    sys.stdout.write(json.dumps(READY) + "\n")
+    sys.stdout.flush()
     while True:
         sys.stdout.write(json.dumps(answer(questions.get())) + "\n")
         sys.stdout.flush()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import subprocess
 import threading
 import time
@@ -13,14 +14,16 @@ from typing import Any, BinaryIO
 #: An answer, and the longest line that is one.
 Answer = Any
 _LONGEST_LINE = 1 << 20
+#: What the process says first, once it can be asked.
+READY = "ready"
 
 
 class Beside:
     """Asks another process, a line of JSON each way; its standard input ends with us, and so does it.
 
-    A question that takes longer than `patience` [s] is given up once there is a newer one, and after `limit` [s] in
-    any case: its process is killed and the next question gets a new one. Where the process ends by itself it is asked
-    once more.
+    The process says `READY` once it has started, which may take long on a busy machine. From then on, a question that
+    takes longer than `patience` [s] is given up once there is a newer one, and after `limit` [s] in any case: its
+    process is killed and the next question gets a new one. Where the process ends by itself it is asked once more.
 
     Args:
         command: starts the process.
@@ -29,7 +32,7 @@ class Beside:
     """
 
     def __init__(
-        self, command: Sequence[str], woken: Callable[[], None], patience: float = 3.0, limit: float = 120.0
+        self, command: Sequence[str], woken: Callable[[], None], patience: float = 3.0, limit: float = 600.0
     ) -> None:
         self._command, self._woken = command, woken
         self._patience, self._limit = patience, limit
@@ -38,7 +41,7 @@ class Beside:
         self._wanted: Any = None
         self._asked: Any = None
         self._failed: Any = None
-        self._since = 0.0
+        self._since = math.inf  # while the process starts
         self._lines: list[tuple[subprocess.Popen[bytes], bytes]] = []
         self.ended = 0
 
@@ -90,6 +93,9 @@ class Beside:
     def _read(self, line: bytes) -> tuple[Any, Answer | None, str] | None:
         try:
             answer = json.loads(line)
+            if answer == READY:
+                self._since = time.monotonic()
+                return None
             return self._done(), answer, ""
         except ValueError:  # the end of its output, or no line of it
             pass
@@ -113,7 +119,10 @@ class Beside:
                 list(self._command), stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
             )
             threading.Thread(target=self._listen, args=(self._process,), name="beside", daemon=True).start()
-        self._asked, self._since = self._wanted, time.monotonic()
+            self._since = math.inf
+        else:
+            self._since = time.monotonic()
+        self._asked = self._wanted
         assert self._process.stdin is not None
         with suppress(OSError):  # it has ended: its last line will tell
             self._process.stdin.write(json.dumps(self._asked).encode() + b"\n")

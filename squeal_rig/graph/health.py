@@ -49,10 +49,9 @@ class HealthPublisher:
         executor = self._node.executor
         if isinstance(executor, GuardedExecutor):
             values = {**values, "refused requests": executor.refused_requests, "errors": executor.errors}
-            failure, refusal = executor.untold()
-            if failure:
+            if failure := executor.untold_error():
                 level, message = ERROR, failure
-            elif refusal and level == OK:
+            elif level == OK and (refusal := executor.untold_refusal()):  # it waits until nothing worse is to be told
                 level, message = WARN, refusal
         name = self._node.get_fully_qualified_name().lstrip("/")
         stamp = self._node.get_clock().now().nanoseconds

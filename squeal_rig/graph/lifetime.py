@@ -87,10 +87,14 @@ class GuardedExecutor(SingleThreadedExecutor):
         while (left := deadline - time.monotonic()) > 0.0:
             self.spin_once(left)
 
-    def untold(self) -> tuple[str, str]:
-        """Sentences on the last error and the last refused request since this was last asked; empty where none."""
-        told = self._untold, self._untold_request
-        self._untold = self._untold_request = ""
+    def untold_error(self) -> str:
+        """Sentence on the last error since this was last asked; empty where there was none."""
+        told, self._untold = self._untold, ""
+        return told
+
+    def untold_refusal(self) -> str:
+        """Sentence on the last refused request since this was last asked; empty where there was none."""
+        told, self._untold_request = self._untold_request, ""
         return told
 
     def _note(self, error: Exception) -> None:

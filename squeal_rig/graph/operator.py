@@ -18,8 +18,8 @@ from squeal_rig.page.commands import EMERGENCY_STOP, SET, SUPERVISOR_RESET, Comm
 # Longest time for an answer [s].
 _TIMEOUT = 10.0
 _STOP_TIMEOUT = 3.0
-# How often a service that is not there is looked for, and how long between [s].
-_LOOKS, _LOOK_EVERY = 20, 0.05
+# How often a service that is not there is looked for, and how long between [s]: discovery took up to 2.3 s.
+_LOOKS, _LOOK_EVERY = 100, 0.05
 # Commands that wait for the graph's answer, of all that ask; the emergency stop is not among them.
 _MOST_UNDER_WAY = 8
 # Command -> service (of type Trigger) that does it.

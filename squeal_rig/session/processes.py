@@ -14,7 +14,8 @@ from pathlib import Path
 from squeal_rig.errors import ExperimentError
 from squeal_rig.graph import signals
 
-_STOP_TIMEOUT = 5.0
+# A busy machine may take some seconds to end a node that is all right.
+_STOP_TIMEOUT = 20.0
 _LOOK = 0.1  # how often is looked whether a node has ended or still writes [s]
 _START = Path(__file__).parents[1] / "nodes" / "start.py"
 

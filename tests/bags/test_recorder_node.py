@@ -104,6 +104,7 @@ def test_parameters_of_every_node_and_each_change_are_in_the_bag(processes, obse
 def test_stop_start_and_split_leave_sound_bags(processes, observer, health, tmp_path, load):
     recorder = processes.node("recorder", *parameters(directory=tmp_path / "run"))
     recording(observer, health)
+    observer.wait_for(lambda: told(health, "nodes with known parameters") >= 2, "parameters of recorder and load")
     assert observer.trigger("split", "recorder")[0]
     assert observer.trigger("stop", "recorder") == (True, f"closed {tmp_path / 'run'}")
     assert observer.trigger("stop", "recorder") == (False, "nothing is being recorded")
@@ -203,9 +204,10 @@ def test_a_stop_during_a_stall_of_the_disk_loses_nothing(processes, observer, tm
     # What waited is written: the last blocks are there. What the middleware dropped before, on a busy machine, is told.
     assert all(blocks[-1] >= sent - 1 for blocks in numbers.values())
     missing = sum(blocks[-1] - blocks[0] + 1 - len(blocks) for blocks in numbers.values())
-    assert int(bag.custom_data["lost_messages"]) == missing
+    # It counts those of other topics too.
+    assert int(bag.custom_data["lost_messages"]) >= missing
     assert missing < 0.1 * sent
-    assert verify(bag.path).sound == (missing == 0)
+    assert verify(bag.path).sound == (int(bag.custom_data["lost_messages"]) == 0)
 
 
 def test_one_odd_stamp_and_an_early_snapshot_end_no_recording(processes, observer, health, tmp_path):

@@ -9,7 +9,10 @@ import time
 from contextlib import nullcontext
 from pathlib import Path
 
+import yaml
+
 import squeal_rig
+from squeal_rig.configuration.files import config_directory
 from squeal_rig.session.processes import node_command, signals_held
 
 from . import PATIENCE
@@ -122,6 +125,28 @@ class Processes:
                 child.wait(10.0)
             except subprocess.TimeoutExpired:
                 child.kill()
+
+
+#: Parameters of a supervisor, and of a rig, that do not take a busy machine's delays for a fault.
+PATIENT = {
+    "stale_warn": 60.0,
+    "stale_stop": 60.0,
+    "node_timeout": 600.0,
+    "time_jump": 60.0,
+    "disorder": 1000,
+    "lost_share": 1.0,
+}
+PATIENT_RIG = {"heartbeat_timeout": 60.0, "watchdog_timeout": 60.0}
+
+
+def patient_config(folder):
+    """Parameter file of the package, with both of them patient."""
+    values = yaml.safe_load((config_directory() / "rig.yaml").read_text(encoding="utf-8"))
+    for node, more in (("rig", PATIENT_RIG), ("supervisor", PATIENT)):
+        values[f"/**/{node}"]["ros__parameters"] |= more
+    file = folder / "patient.yaml"
+    file.write_text(yaml.safe_dump(values), encoding="utf-8")
+    return file
 
 
 def parameters(**values):

@@ -13,6 +13,7 @@ from squeal_rig.graph.beside import Beside
 # Doubles numbers; sleeps so long [s] for a negative one, ends for 13, says what is no JSON for 14.
 SCRIPT = """
 import json, os, sys, time
+print('"ready"', flush=True)
 for line in sys.stdin:
     number = json.loads(line)["number"]
     if number < 0: time.sleep(-number)
@@ -28,7 +29,7 @@ def woken():
 
 @pytest.fixture
 def beside(woken):
-    made = Beside([sys.executable, "-c", SCRIPT], woken.set, patience=0.3, limit=2.0)
+    made = Beside([sys.executable, "-c", SCRIPT], woken.set, patience=0.3, limit=60.0)
     yield made
     made.close()
 
@@ -68,12 +69,26 @@ def test_a_long_computation_is_given_up_for_a_newer_question(beside, woken):
 
 
 def test_one_that_never_ends_is_given_up(beside, woken):
+    beside._limit = 2.0
     beside.ask({"number": -600})
     asked, found, why = answer(beside, woken)
     assert (asked, found) == ({"number": -600}, None)
     assert why == "it took longer than 2 s"
+    beside._limit = 60.0
     beside.ask({"number": 6})
     assert answer(beside, woken)[1] == 12
+
+
+def test_a_process_that_starts_slowly_is_waited_for(woken):
+    slow = Beside([sys.executable, "-c", "import time\ntime.sleep(3.0)\n" + SCRIPT], woken.set, patience=2.0, limit=2.0)
+    try:
+        slow.ask({"number": 1})
+        slow.ask({"number": 2})
+        assert answer(slow, woken) == ({"number": 1}, 2, "")
+        assert answer(slow, woken) == ({"number": 2}, 4, "")
+        assert slow.ended == 0
+    finally:
+        slow.close()
 
 
 @pytest.mark.parametrize("number", [13, 14])

@@ -58,7 +58,7 @@ IN_A_FILE = {
 
 
 @pytest.fixture(scope="module")
-def refused(processes, tmp_path_factory):
+def refused(compiled, processes, tmp_path_factory):
     """Name of the fact -> (exit code, what the node wrote to stderr), of all bad starts, made side by side."""
     starts = dict(ON_THE_COMMAND_LINE)
     for name, (text, sentence) in IN_A_FILE.items():
@@ -66,14 +66,14 @@ def refused(processes, tmp_path_factory):
         file.write_text(text, encoding="utf-8")
         starts[f"file_{name}"] = ("simulator", ["--params-file", str(file)], sentence)
     waiting, children = list(starts.items()), {}
-    deadline = time.monotonic() + 120.0
+    deadline = time.monotonic() + 900.0
     while waiting or any(child.running for child in children.values()):
         assert time.monotonic() < deadline, "bad starts that do not end"
         if waiting and sum(child.running for child in children.values()) < 2 * (os.cpu_count() or 1):
             name, (node, arguments, _) = waiting.pop(0)
             children[name] = processes.node(node, *arguments)
         elif running := next((child for child in children.values() if child.running), None):
-            running.wait(60.0)
+            running.wait()
     return {name: (child.wait(), child.errors) for name, child in children.items()}
 
 

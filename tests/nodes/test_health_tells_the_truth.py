@@ -41,15 +41,15 @@ class FakeRig:
     def describe(self, text):
         self.description.publish(String(data=text))
 
-    def expect(self, level, words, speak, names=CONSUMERS):
-        """Speak on until every node is at that level with these words; returns the values of each."""
+    def expect(self, level, words, speak, names=CONSUMERS, meets=lambda name, values: True):
+        """Speak on until every node is at that level with these words and meets more; returns the values of each."""
         self.health.clear()
 
         def told(name):
             speak()
             assert self.nodes[name].running, self.nodes[name].errors
             state = health_of(self.health, name)
-            return state and state[0] == level and words in state[1] and state[2]
+            return state and state[0] == level and words in state[1] and meets(name, state[2]) and state[2]
 
         return {name: self.observer.wait_for(lambda n=name: told(n), f"{words!r} of {name}") for name in names}
 
@@ -132,7 +132,11 @@ def test_blocks_that_did_not_arrive_are_a_warning_and_counted(rig, running):
 def test_a_rig_started_again_is_counted_and_nothing_is_lost(rig, running):
     rig.number, later = 0, rig.number
     rig.block(number=0)
-    after = rig.expect(OK, "running", rig.block)
+
+    def restarted(name, values):  # a health of before is well, too
+        return int(values["restarts"]) > int(running[name]["restarts"])
+
+    after = rig.expect(OK, "running", rig.block, meets=restarted)
     assert set(grown(running, after, "restarts").values()) == {1}
     assert set(grown(running, after, "lost samples").values()) == {0}
     rig.number = later

@@ -120,10 +120,12 @@ def test_a_rig_that_is_asked_to_follow_a_clock_keeps_the_systems_time_and_says_s
     blocks, health = observer.follow_samples("daq/samples"), observer.follow("/diagnostics")
     observer.wait_for(lambda: blocks, "samples", 60.0)
     assert abs(blocks[-1].stamp_ns - time.time_ns()) < 5 * 10**9
-    state = observer.wait_for(
-        lambda: (state := health_of(health, "rig")) and state[0] == 1 and state, "a warning on /diagnostics"
-    )
-    assert state[1].startswith("use_sim_time was asked for: ")
+
+    def warned():
+        level, sentence, _ = health_of(health, "rig") or (0, "", {})
+        return level == 1 and sentence.startswith("use_sim_time was asked for: ")  # a busy one may be late as well
+
+    observer.wait_for(warned, "a warning on /diagnostics")
     assert abs(health[-1].header.stamp.sec - time.time()) < 5.0
     ((done, reason),) = observer.set({"use_sim_time": True})
     assert (done, "the rig makes the time" in reason) == (False, True)

@@ -26,7 +26,7 @@ from squeal_rig.page.access import Access  # noqa: E402
 from squeal_rig.page.recorded import RecordedPicture  # noqa: E402
 from squeal_rig.page.server import PageServer  # noqa: E402
 from squeal_rig.page.sound import Sound  # noqa: E402
-from tests.graph.processes import parameters  # noqa: E402
+from tests.graph.processes import PATIENT, parameters  # noqa: E402
 
 # Low, so that a busy machine keeps up: the page is what is tried here.
 _RATE = 12800
@@ -51,7 +51,7 @@ def bench(compiled, processes, observer, config_file, tmp_path_factory):
         "simulator": processes.node("simulator", *arguments(config_file, sample_rate=_RATE, supervisor_required=False)),
         "recorder": processes.node("recorder", *arguments(config_file, autostart=False), cwd=folder),
         "squeal_detector": processes.node("squeal_detector", *arguments(config_file)),
-        "supervisor": processes.node("supervisor", *arguments(config_file, nodes=["rig"])),
+        "supervisor": processes.node("supervisor", *arguments(config_file, nodes=["rig"], **PATIENT)),
         "page": processes.node("page", *arguments(config_file, port=0, control=True)),
     }
     page = nodes["page"]

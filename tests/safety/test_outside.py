@@ -16,7 +16,7 @@ _WATCHED = """
 import os, sys, time
 from squeal_rig.safety.outside import Outside
 
-beside = Outside([sys.executable, sys.argv[1], "watchdog"], "", {}, 0.3)
+beside = Outside([sys.executable, sys.argv[1], "watchdog"], "", {}, 1.5)
 beside.arm(sys.argv[2] != "inactive")
 for _ in range(40):
     beside.beat()
@@ -47,8 +47,8 @@ else:
     [
         ("ends", 0, ""),
         ("inactive", 0, ""),
-        ("silent", -signal.SIGKILL, "silent for 0.3"),
-        ("loses it", -signal.SIGKILL, "silent for 0."),
+        ("silent", -signal.SIGKILL, "silent for "),
+        ("loses it", -signal.SIGKILL, "silent for "),
         ("dies", -signal.SIGKILL, "has ended while it drove the rig"),
     ],
 )
@@ -58,7 +58,7 @@ def test_who_is_silent_or_dies_while_it_drives_a_rig_is_stopped_from_outside(tmp
         watched = subprocess.Popen(
             [sys.executable, "-c", _WATCHED, _START, what], stdout=subprocess.PIPE, stderr=stream, text=True
         )
-        output, _ = watched.communicate(timeout=60.0)  # the process beside has no end of it
+        output, _ = watched.communicate(timeout=300.0)  # the process beside has no end of it
     assert output == "beaten\n"
     assert watched.returncode == code, errors.read_text()
     for _ in range(200):
@@ -76,7 +76,7 @@ def test_a_watchdog_that_cannot_load_the_driver_says_so_and_is_never_ready(capfd
 
     beside = Outside([sys.executable, _START, "watchdog"], "no_such_driver", {}, 1.0)
     try:
-        for _ in range(600):
+        for _ in range(6000):
             if beside.failed:
                 break
             time.sleep(0.05)
