@@ -27,7 +27,7 @@ Values = NDArray[np.float64]
 _MOST_MACHINES, _MOST_ZONES = 40, 20_000
 NOT_AVAILABLE = "not available"
 #: Fields of an operating point: with them zones need no new machine.
-OPERATING = ("preload", "belt_speed", "mu0", "mu_speed", "mu_preload", "mu_speed_preload")
+OPERATING = ("preload", "belt_speed", *COEFFICIENTS)
 
 
 @dataclass(frozen=True)
