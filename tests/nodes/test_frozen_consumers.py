@@ -27,7 +27,7 @@ def test_consumers_that_were_frozen_tell_their_losses_and_recover(compiled, proc
         return state and state[0] == OK and int(state[2]["blocks"]) > 0 and state
 
     for name in CONSUMERS:
-        observer.wait_for(lambda name=name: well(name), f"{name} well", 60.0)
+        observer.wait_for(lambda name=name: well(name), f"{name} well")
     for _ in range(6):
         for node in nodes.values():
             node.send(signal.SIGSTOP)
@@ -36,7 +36,7 @@ def test_consumers_that_were_frozen_tell_their_losses_and_recover(compiled, proc
         for node in nodes.values():
             node.send(signal.SIGCONT)
         for name in CONSUMERS:
-            observer.wait_for(lambda name=name: well(name), f"{name} well again", 40.0)
+            observer.wait_for(lambda name=name: well(name), f"{name} well again")
     # Three seconds are more than the rig keeps for them: some were lost each time, and told.
     for name in CONSUMERS:
         assert int(health_of(health, name)[2]["lost samples"]) > 0, name
@@ -48,7 +48,7 @@ def test_a_rig_whose_samples_do_not_arrive_publishes_them_anew(compiled, process
     rig = processes.node("simulator")
     health, publisher = observer.follow("/diagnostics"), observer.publisher("/diagnostics")
     blocks = observer.follow_samples("daq/samples")
-    observer.wait_for(lambda: blocks, "samples", 60.0)
+    observer.wait_for(lambda: blocks, "samples")
 
     def renewals():
         publisher.publish(DiagnosticArray(status=[told]))
