@@ -90,7 +90,7 @@ def _squeal_loud(bench):
 
 
 def _flood(count):
-    """So many changes of a parameter, as fast as they are answered."""
+    """So many changes of a parameter, 20 in a request and 50 requests a second."""
 
     def flood(bench):
         from rcl_interfaces.srv import SetParameters
@@ -106,7 +106,8 @@ def _flood(count):
             ]
             futures.append(client.call_async(SetParameters.Request(parameters=messages)))
             bench.observer.spin(0.02)
-        bench.observer.wait_for(lambda: all(f.done() for f in futures), "the answers")
+        # A service keeps the ten newest requests: a rig that was held up for a moment never sees those before them.
+        bench.observer.wait_for(futures[-1].done, "the last answer")
         bench.observer.node.destroy_client(client)
         return begun
 
