@@ -17,9 +17,9 @@ from rclpy.qos import qos_profile_parameter_events
 from squeal_rig.graph.lifetime import STEADY
 
 _PERIOD = 0.5
-# A service was seen to match after 2.3 s at worst; a node that is gone never answers.
+# A service was seen to match after 2.3 s at worst; each time that nothing comes, the wait for the next answer doubles.
 _PATIENCE = 10.0
-_ATTEMPTS = 3
+_MOST_DOUBLINGS = 5
 
 Values = dict[str, Any]
 
@@ -27,17 +27,17 @@ Values = dict[str, Any]
 class _Question:
     """One node being asked; the clients live only as long as the question."""
 
-    def __init__(self, node: Node, name: str) -> None:
+    def __init__(self, node: Node, name: str, patience: float) -> None:
         self.list: Client = node.create_client(ListParameters, f"{name}/list_parameters")
         self.get: Client = node.create_client(GetParameters, f"{name}/get_parameters")
-        self.deadline = time.monotonic() + _PATIENCE
+        self.deadline = time.monotonic() + patience
         self.sent = False
 
 
 class ParameterWatch:
     """Calls back with (node, all values) once for each node, and with (node, values, deleted) for each change.
 
-    Nothing here waits: a node that does not answer is asked again, three times in all, and then left.
+    Nothing here waits: a node that does not answer, stopped or still starting, is asked again, ever more rarely.
     """
 
     def __init__(
@@ -74,9 +74,10 @@ class ParameterWatch:
                 if own not in self._answered:
                     self._answered.add(own)
                     self._at_start(own, self.own())
-            elif full not in self._answered and full not in self._questions and self._asked.get(full, 0) < _ATTEMPTS:
-                self._asked[full] = self._asked.get(full, 0) + 1
-                self._questions[full] = _Question(self._node, full)
+            elif full not in self._answered and full not in self._questions:
+                times = self._asked.get(full, 0)
+                self._asked[full] = times + 1
+                self._questions[full] = _Question(self._node, full, _PATIENCE * 2 ** min(times, _MOST_DOUBLINGS))
         self._answered &= present  # a node that comes back is asked anew
         self._asked = {name: count for name, count in self._asked.items() if name in present}
         for full, question in list(self._questions.items()):

@@ -14,6 +14,7 @@ import pytest
 import typer
 import yaml
 
+from squeal_rig.catalogue.checking import check_file
 from squeal_rig.cli import app
 from squeal_rig.nodes.start import NODES
 
@@ -40,6 +41,13 @@ def test_every_block_is_in_a_language_that_is_checked():
 @pytest.mark.parametrize("text", _of("yaml") or [pytest.param("{}", id="no page has any")])
 def test_yaml_can_be_read(text):
     assert yaml.safe_load(text) is not None
+
+
+@pytest.mark.parametrize("text", _of("yaml", [DOCS / "files.md"]))
+def test_a_file_of_each_kind_is_in_order(text, tmp_path):
+    path = tmp_path / "file.yaml"
+    path.write_text(text, encoding="utf-8")
+    assert check_file(path)
 
 
 @pytest.mark.parametrize("text", _of("python"))
