@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from squeal_rig.model import stability_band
-from squeal_rig.model.core.law import friction_coefficient
+from squeal_rig.model.core.law import friction_basis, friction_coefficient
 from tests.graph.processes import parameters
 
 pytest.importorskip("rclpy")
@@ -120,13 +120,33 @@ def test_a_window_without_a_valid_sample_has_no_mu_and_says_so(bench):
 
 
 def test_five_operating_points_give_the_law_back(bench):
-    models = bench.observer.follow("friction/model")
-    for preload, speed in STEADY_POINTS:
-        bench.rest(preload=preload, belt_speed=speed)
-        _windows_from(bench, int(bench.daq[-1].samples["seq"][0]), 3)
+    # An estimator of its own, begun at rest: the other one has met squeal, whose windows are less exact.
+    names = {
+        "__node": "fresh_estimator",
+        "friction/samples": "fresh/friction/samples",
+        "friction/windows": "fresh/friction/windows",
+        "friction/model": "fresh/friction/model",
+    }
+    renamed = [word for name, new in names.items() for word in ("-r", f"{name}:={new}")]
+    preload, speed = STEADY_POINTS[0]
+    bench.rest(preload=preload, belt_speed=speed)
+    fresh = bench.processes.node("friction_estimator", *parameters(window=_WINDOW), *renamed)
+    models = bench.observer.follow("fresh/friction/model")
+    windows = bench.observer.follow_samples("fresh/friction/windows")
+    try:
+        for preload, speed in STEADY_POINTS:
+            bench.rest(preload=preload, belt_speed=speed)
+            windows.clear()
+            bench.observer.wait_for(lambda: len(windows) >= 4, "four windows")
+        bench.observer.wait_for(lambda: models and models[-1].data[-1] >= 5, "a fit over five operating points")
+    finally:
+        assert fresh.end()[0] == 0
     p = bench.observer.description().parameters
     law = [p.mu0, p.mu_speed, p.mu_preload, p.mu_speed_preload]
-    bench.observer.wait_for(lambda: models and models[-1].data[-1] >= 5, "a fit over five operating points")
-    # The estimates of single windows may be off by 0.1 %, mostly where the pad still rings.
-    np.testing.assert_allclose(models[-1].data[:4], law, rtol=0.02)
+    preload, speed = np.transpose(STEADY_POINTS)
+    # What the coefficients are off by at most where every window is off by `_LAW`, as while the pad still rings.
+    basis = friction_basis(speed, preload)
+    bound = np.abs(np.linalg.pinv(basis)) @ (_LAW * (basis @ law))
+    off = np.abs(models[-1].data[:4] - np.array(law))
+    assert (off < bound).all(), (off, bound)
     assert models[-1].data[4] < 1e-3
