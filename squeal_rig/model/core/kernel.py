@@ -30,7 +30,8 @@ def fused_kernel(function: F) -> F:
     """As `kernel`, for inner loops: faster, never less exact.
 
     a*b + c may be rounded once instead of twice (fused multiply-add; no other liberty with floating point is taken).
-    The last bit may differ between kinds of processor. Arrays cannot be made inside, so none is counted either:
+    The last bit may differ between kinds of processor, and between the process that compiled the code and those that
+    take it from disk: a function that was compiled into several others is linked once, not always the same one. Arrays cannot be made inside, so none is counted either:
     numba's reference counts are atomic, and cost several times what a short function computes.
     """
     return _compiled(function, **_FUSED)
@@ -39,7 +40,8 @@ def fused_kernel(function: F) -> F:
 def reduction_kernel(function: F) -> F:
     """As `fused_kernel`, for sums and extremes over finite numbers: they may be regrouped, so that they run in lanes.
 
-    The grouping is the compiler's, so the last bits may differ between kinds of processor, but never between calls.
+    The grouping is the compiler's, so the last bits may differ as those of `fused_kernel`, but never between the calls
+    of a process.
     """
     return _compiled(function, **{**_FUSED, "fastmath": {"contract", "reassoc", "nnan", "nsz"}})
 

@@ -31,6 +31,8 @@ _MODE_BAND = (500.0, 3000.0)
 _SETTLE = 2.0
 _SPECTRUM = 1.0
 _TABLE_DURATION = 10.0
+#: Runs of a rig without damping, for each of which the start differs by 1e-9 from the one before.
+CHAOTIC_STARTS = 10
 _JUMP_SETTLE = 4.0
 #: Fig. 12: squeal is a peak after the transient above this many static compressions. Squeal separates the pad, which
 #: takes about one; free vibration has decayed far below.
@@ -90,6 +92,15 @@ class TableRow:
 
 
 @dataclass(frozen=True)
+class UndampedRow:
+    """Table 1 without damping: frequencies [Hz] and shares of time off the belt, both (n,), of runs whose starts are
+    equal to 1e-8."""
+
+    frequencies: Values
+    contact_loss_shares: Values
+
+
+@dataclass(frozen=True)
 class PeakCurve:
     """A curve of Fig. 12: peak |x - x*| [m] (n,) over preload (n,) [N]; jump and threshold [N] or None."""
 
@@ -139,13 +150,37 @@ def table_rows(p: RigParameters, paper: PaperNumbers, duration: float = _TABLE_D
     """Table 1: squeal frequency of x over the last second, contact loss over the whole run from a small start."""
     rows = []
     for row in paper.table:
-        q = p.replace(preload=paper.table_preload, belt_speed=paper.table_speed, pad_stiffness=row.k)
-        run = simulate(q, duration, SAMPLE_RATE, displaced_state(q, SMALL_START))
-        spectrum = amplitude_spectrum(run.x[-round(_SPECTRUM * SAMPLE_RATE) :], SAMPLE_RATE)
-        share = float(np.mean(run.normal_force <= 0.0))
+        q = _at_table(p, paper, row)
+        frequency, share = _table_run(q, duration, SMALL_START)
         linear = squeal_frequency(eigenvalues(q, linear=True))
-        rows.append(TableRow(row, peak_frequency(*spectrum, *_MODE_BAND), linear, share, duration))
+        rows.append(TableRow(row, frequency, linear, share, duration))
     return rows
+
+
+def undamped_rows(p: RigParameters, paper: PaperNumbers, duration: float = _TABLE_DURATION) -> list[UndampedRow]:
+    """Table 1 of a rig without damping, whose motion is chaotic.
+
+    What differs in the last digits, of the start or of the arithmetic, has grown to the size of the motion well within
+    the run: a single run says less than the range of several.
+    """
+    starts = SMALL_START * (1.0 + 1e-9 * np.arange(CHAOTIC_STARTS))
+    rows = []
+    for row in paper.table:
+        q = _at_table(p, paper, row)
+        runs = np.array([_table_run(q, duration, start) for start in starts.tolist()])
+        rows.append(UndampedRow(runs[:, 0], runs[:, 1]))
+    return rows
+
+
+def _at_table(p: RigParameters, paper: PaperNumbers, row: FrequencyRow) -> RigParameters:
+    return p.replace(preload=paper.table_preload, belt_speed=paper.table_speed, pad_stiffness=row.k)
+
+
+def _table_run(q: RigParameters, duration: float, start: float) -> tuple[float, float]:
+    """Squeal frequency of x over the last second [Hz], and share of time off the belt, of a run from `start`."""
+    run = simulate(q, duration, SAMPLE_RATE, displaced_state(q, start))
+    spectrum = amplitude_spectrum(run.x[-round(_SPECTRUM * SAMPLE_RATE) :], SAMPLE_RATE)
+    return peak_frequency(*spectrum, *_MODE_BAND), float(np.mean(run.normal_force <= 0.0))
 
 
 def peak_displacement(p: RigParameters, start: float, settle: float = _JUMP_SETTLE) -> float:
