@@ -103,9 +103,16 @@ def write_page(title: str, lead: Sequence[str], sections: Sequence[Section], pat
 
 
 def _table(table: DataTable) -> str:
-    head = "".join(f"<th>{html.escape(column)}</th>" for column in table.columns)
+    head = "".join(
+        f"<th class='{'text' if _holds_text(table, i) else ''}'>{html.escape(column)}</th>"
+        for i, column in enumerate(table.columns)
+    )
     rows = "".join("<tr>" + "".join(_cell(value) for value in row) + "</tr>" for row in table.rows)
     return f"<table><caption>{html.escape(table.caption)}</caption><tr>{head}</tr>{rows}</table>"
+
+
+def _holds_text(table: DataTable, column: int) -> bool:
+    return any(isinstance(row[column], str) for row in table.rows[:1])
 
 
 def _cell(value: Any) -> str:

@@ -31,8 +31,9 @@ def fused_kernel(function: F) -> F:
 
     a*b + c may be rounded once instead of twice (fused multiply-add; no other liberty with floating point is taken).
     The last bit may differ between kinds of processor, and between the process that compiled the code and those that
-    take it from disk: a function that was compiled into several others is linked once, not always the same one. Arrays cannot be made inside, so none is counted either:
-    numba's reference counts are atomic, and cost several times what a short function computes.
+    take it from disk: of a function that was compiled into several others one copy is linked, not always the same.
+    Arrays cannot be made inside, so none is counted either: numba's reference counts are atomic, and cost several times
+    what a short function computes.
     """
     return _compiled(function, **_FUSED)
 
