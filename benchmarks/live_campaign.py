@@ -24,8 +24,9 @@ from squeal_rig.experiments.campaign.running import Where, run_direct, start
 from squeal_rig.experiments.campaign.store import JOURNAL, journal, read
 from tests.graph.domains import private_domain
 
-# A kill comes within this time of a start [s]; so often is a start tried that ends by itself.
-LATEST, MOST_STARTS = 60.0, 60
+# A kill comes within this time of a start [s]: so soon that a run of a minute does not end before it was killed ten
+# times. No more starts than this.
+LATEST, MOST_STARTS = 16.0, 60
 
 
 def killed_live(plan: Path, folder: Path, kills: int, seed: int = 1, latest: float = LATEST) -> list[str]:
