@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from datetime import datetime, timezone
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -39,7 +38,9 @@ def _need_page() -> None:
 
 
 def _new_bag(given: Path | None) -> Path:
-    return given or Path("bags") / f"{datetime.now(timezone.utc):%Y%m%dT%H%M%SZ}"
+    from squeal_rig.recording.writer import new_directory
+
+    return given or new_directory()
 
 
 def _data_sheets(given: str | None) -> str | None:

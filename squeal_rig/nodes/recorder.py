@@ -6,7 +6,6 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from datetime import datetime, timezone
-from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -37,7 +36,7 @@ class RecorderNode(Node):
         super().__init__("recorder", **NODE_OPTIONS)
         self._lifetime = lifetime
         self._declared = DeclaredParameters(self, (RecorderSettings(),))
-        self._session = RecordingSession(self._settings, default_directory)
+        self._session = RecordingSession(self._settings)
         self._squealing = False
         self._missed = 0
         self._snapshot_due: float | None = None
@@ -202,11 +201,6 @@ class RecorderNode(Node):
 def _sound_time(time: int | None) -> int:
     """A time [ns] that a bag can hold, else 0."""
     return time if time is not None and 0 < time <= MAX_TIME else 0
-
-
-def default_directory() -> Path:
-    """bags/<UTC stamp> under the working directory."""
-    return Path(f"bags/{datetime.now(timezone.utc):%Y%m%dT%H%M%SZ}")
 
 
 def _utc_now() -> str:

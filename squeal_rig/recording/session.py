@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +18,7 @@ from .replay import is_latched
 from .ring import KeptMessage, MessageRing
 from .schemas import installed_schema
 from .settings import RecorderSettings
-from .writer import BagWriter, ChannelHandle
+from .writer import BagWriter, ChannelHandle, new_directory
 
 _MB = 10**6
 SNAPSHOT = "snapshot"
@@ -52,9 +52,8 @@ class RecordingSession:
     reason is `refusal`.
     """
 
-    def __init__(self, settings: RecorderSettings, default_directory: Callable[[], Path]) -> None:
+    def __init__(self, settings: RecorderSettings) -> None:
         self._settings = settings
-        self._default_directory = default_directory
         self._writer: BagWriter | None = None
         self._topics: dict[str, SessionTopic] = {}
         self._parameters = ParameterLog()
@@ -217,5 +216,5 @@ class RecordingSession:
     def _next_directory(self) -> Path:
         given = self._settings.directory
         if not given:
-            return self._default_directory()
+            return new_directory()
         return Path(given) if self._bags == 0 else Path(f"{given}_{self._bags + 1}")

@@ -11,6 +11,8 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from datetime import datetime, timezone
+from itertools import count
 from pathlib import Path
 
 from mcap.records import Channel, Schema
@@ -32,6 +34,21 @@ LIBRARY = f"{_OURS} {__version__}"
 _BROKEN_OFF = ("stopped", "aborted")  # how endings begin that are no completion
 _MAX_MESSAGE = MAX_CHUNK_BYTES // 2
 _SEQUENCE_MASK = 2**32 - 1
+
+
+def new_directory() -> Path:
+    """A new, empty folder bags/<UTC stamp>, with _2, _3 ... behind where another bag was begun in the same second."""
+    stamp = f"{datetime.now(timezone.utc):%Y%m%dT%H%M%SZ}"
+    for number in count(1):
+        directory = Path("bags") / (stamp if number == 1 else f"{stamp}_{number}")
+        try:
+            directory.mkdir(parents=True)
+        except FileExistsError:
+            continue
+        except OSError:
+            pass  # the writer meets it again, and says what is wrong
+        break
+    return directory
 
 
 def refuse_written(directory: Path) -> None:

@@ -3,6 +3,7 @@ import resource
 import subprocess
 import sys
 from collections import Counter
+from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
@@ -11,8 +12,9 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from rosbags.rosbag2 import Reader
 from ruamel.yaml import YAML
 
-from squeal_rig.errors import RecordingError
+from squeal_rig.errors import DiskError, RecordingError
 from squeal_rig.recording import Bag, BagWriter, MessageSchema, QosProfile
+from squeal_rig.recording.writer import new_directory
 
 T0 = 1_700_000_000_000_000_000
 LATCHED = QosProfile(depth=1, durability="transient_local")
@@ -316,7 +318,7 @@ def test_no_bag_is_started_where_the_reserve_does_not_fit_on_the_disk(tmp_path):
 
 FULL_DISK = """
 import resource, sys
-from squeal_rig.errors import RecordingError
+from squeal_rig.errors import DiskError, RecordingError
 from squeal_rig.recording import Bag, BagWriter, MessageSchema
 writer = BagWriter(sys.argv[1], chunk_size=20_000, compression="none")
 handle = writer.add_topic("/raw", "far_away/msg/Thing", schema=MessageSchema("far_away/msg/Thing"))
@@ -356,7 +358,7 @@ def test_a_refused_write_is_told_and_the_bag_still_closes_valid(tmp_path):
 
 LAST_CHUNK = """
 import resource, sys
-from squeal_rig.errors import RecordingError
+from squeal_rig.errors import DiskError, RecordingError
 from squeal_rig.recording import BagWriter, MessageSchema
 writer = BagWriter(sys.argv[1], compression="none", flush_interval=3600.0)
 handle = writer.add_topic("/raw", "far_away/msg/Thing", schema=MessageSchema("far_away/msg/Thing"))
@@ -379,3 +381,17 @@ def test_a_last_chunk_that_does_not_fit_is_told_by_the_ending(tmp_path):
     bag = Bag(tmp_path / "run")
     assert bag.ending.startswith("stopped: the last 100 messages are lost: Cannot write to ")
     assert (bag.message_count, bag.custom_data["messages_lost_at_end"]) == (0, "100")
+
+
+def test_bags_begun_in_one_second_have_folders_of_their_own(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    folders = [new_directory() for _ in range(8)]
+    assert len(set(folders)) == 8
+    assert all(folder.parent == Path("bags") and not any(folder.iterdir()) for folder in folders)
+
+
+def test_where_no_folder_can_be_made_the_writer_says_so(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("bags").write_text("a file")
+    with pytest.raises(DiskError, match="Cannot create the bag directory bags/"):
+        BagWriter(new_directory())
