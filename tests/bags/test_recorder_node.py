@@ -1,9 +1,9 @@
 """The recorder as a process: late topics, services, snapshots, provenance, a full disk."""
 
-import shutil
 import signal
 import subprocess
 import sys
+from functools import partial
 from itertools import count
 from pathlib import Path
 
@@ -154,11 +154,12 @@ def test_a_snapshot_holds_the_last_seconds_on_request_and_on_squeal(processes, o
         assert alone.topics["/rig/description"].message_count == 1
 
 
-@pytest.fixture(params=[pytest.param("tmpfs", marks=pytest.mark.slow), "reserve"])
-def small_disk(request, tmp_path):
-    """(folder, reserve [MB]): a disk of 30 MB, or one on which all but 30 MB are to be left free."""
-    if request.param == "reserve":
-        yield tmp_path, shutil.disk_usage(tmp_path).free / 1e6 - 30.0
+@pytest.fixture(params=[pytest.param("tmpfs", marks=pytest.mark.slow), "told"])
+def small_disk(request, processes, tmp_path):
+    """(folder, starts a recorder): on a disk of 30 MB, or on one of which it is told that it has these."""
+    if request.param == "told":
+        command = [sys.executable, Path(__file__).with_name("recorder_on_small_disk.py"), tmp_path, 30.0, "--ros-args"]
+        yield tmp_path, lambda *settings: processes.start([*command, *settings])
         return
     disk = tmp_path / "disk"
     disk.mkdir()
@@ -167,13 +168,13 @@ def small_disk(request, tmp_path):
     )
     if mounted.returncode != 0:
         pytest.skip(f"a tmpfs cannot be mounted here: {mounted.stderr.decode().strip()}")
-    yield disk, 2.0
+    yield disk, partial(processes.node, "recorder")
     subprocess.run(["umount", "-l", disk], check=True)
 
 
-def test_a_full_disk_ends_the_recording_and_nothing_else(processes, observer, health, load, small_disk):
-    folder, reserve = small_disk
-    recorder = processes.node("recorder", *parameters(directory=folder / "run", disk_reserve=round(reserve, 3)))
+def test_a_full_disk_ends_the_recording_and_nothing_else(observer, health, load, small_disk):
+    folder, start_recorder = small_disk
+    recorder = start_recorder(*parameters(directory=folder / "run", disk_reserve=2.0))
     observer.wait_for(lambda: (health_of(health, "recorder") or (0,))[0] == 2, "the recorder's error")
     _level, sentence, _ = health_of(health, "recorder")
     assert sentence.startswith(f"The disk of {folder / 'run'} is full")

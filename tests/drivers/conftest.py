@@ -59,7 +59,9 @@ def serve_twin(folder, *arguments):
     )
     twin.config = config
     # Machines of tests stand still for longer than a rig may: staleness has a test of its own.
-    config.write_text(config.read_text() + "stale_after: 20.0\nqueue: 60.0\nsafe_timeout: 5.0\n")
+    config.write_text(
+        config.read_text() + "stale_after: 20.0\nqueue: 60.0\nclock_tolerance: 600.0\nsafe_timeout: 5.0\n"
+    )
     return twin
 
 

@@ -211,7 +211,7 @@ def test_a_pulled_cable_is_told_with_its_age_and_a_reset_mends_it(tmp_path):
             until(lambda: rig.read(PARAMETERS) and False, "the fault")
         sentence = str(caught.value)
         # Acquisition or Modbus, whichever is noticed first; nobody is there to accept the safe command.
-        assert "stale: no samples" in sentence or "no answer for 2." in sentence
+        assert "stale: no samples" in sentence or "no answer for " in sentence
         assert "the safe command was not accepted" in sentence
         with pytest.raises(DriverError):
             rig.read(PARAMETERS)  # it stays
@@ -300,7 +300,7 @@ def line(twin, tmp_path):
     changes = (
         (f"port: {port}\n    device_id: 1", f"port: {proxy.port}\n    timeout: 0.5\n    device_id: 1"),
         ("stale_after: 20.0", "stale_after: 3.0"),
-        ("safe_timeout: 5.0", "safe_timeout: 0.5"),
+        ("safe_timeout: 5.0", "safe_timeout: 3.0"),
     )
     rig.open(PARAMETERS, with_counter(twin, tmp_path, *changes))
     arrive(rig, PARAMETERS)

@@ -17,6 +17,8 @@ MAP = """
 driver: opendaq
 connection: "daq.ns://127.0.0.1:{port}"
 stale_after: 20.0
+queue: 60.0
+clock_tolerance: 600.0
 channels:
   x: {{signal: AI0, unit: m, scale: 1.0e-6}}
   y: {{signal: AI1, unit: m, scale: 1.0e-6, sign: -1, offset: 1.0}}

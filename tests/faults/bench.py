@@ -144,7 +144,7 @@ class FaultBench:
             return done
 
         try:
-            observer.wait_for(released, "the supervisor's reset", 20.0)
+            observer.wait_for(released, "the supervisor's reset")
         except AssertionError:
             raise AssertionError(f"the supervisor is not reset: {self.told}; {self.states[-1]}") from None
         # A supervisor that was started again hears of the rig's stop after its first word, and latches then.

@@ -12,9 +12,8 @@ from tests.graph.statuses import status_of
 pytest.importorskip("rclpy")
 
 from .bench import LEVELS, running_bench
-from .matrix import CASES, STOP, TABLE, WARN
+from .matrix import CASES, STOP, TABLE
 
-_PATIENCE = 60.0
 _HEAD = """# Fault matrix
 
 Written by `make faults` from a run of `tests/faults`; do not edit. Each fault is injected into a running rig with its
@@ -71,6 +70,12 @@ def _told(bench, case):
     return None
 
 
+def _levels(bench, case):
+    """Levels at which the supervisor told the fault."""
+    told = [status_of(message, "supervisor trip") for message in bench.trips]
+    return {values["level"] for _, sentence, values in told if case.says in sentence}
+
+
 def _stopped(bench, case):
     """Time [ns] at which the driver had accepted the stop that the rig found."""
     state = bench.status(bench.safe, "rig safe")
@@ -107,15 +112,16 @@ def run(bench, rows, measured, case):
         at = find(bench, case)
         return at if at and 1e-9 * at > begun - 0.05 else None  # not one of before
 
-    found = observer.wait_for(told, f"{case.ends}: {case.says}", _PATIENCE)
+    found = observer.wait_for(told, f"{case.ends}: {case.says}")
     if "supervisor" not in case.dies and "supervisor hung" not in case.name:
-        observer.wait_for(lambda: LEVELS[bench.level()] >= LEVELS[case.ends], f"level {case.ends}", _PATIENCE)
+        observer.wait_for(lambda: LEVELS[bench.level()] >= LEVELS[case.ends], f"level {case.ends}")
         if case.ends != STOP:
             observer.spin(0.5)
-            assert bench.level() in (case.ends, "ok" if case.ends == WARN else case.ends)
+            # No higher; what a busy machine adds beside it, as samples that come late, is not this fault.
+            assert _levels(bench, case) == {case.ends}
     if case.ends == STOP and "rig" not in case.dies:
         if bench.nodes["rig"].process.pid == before["rig"]:
-            observer.wait_for(bench.is_safe, "the rig's safe state", _PATIENCE)
+            observer.wait_for(bench.is_safe, "the rig's safe state")
     seconds = 1e-9 * found - begun
     rows.append((case, seconds))
     measured(f"{case.name}: {seconds:.3f} s, documented {case.within:g} s")

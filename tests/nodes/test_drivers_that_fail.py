@@ -59,7 +59,7 @@ def bench_driver(tmp_path, monkeypatch):
 def test_a_driver_that_cannot_open_ends_the_start_with_its_reason(compiled, processes, bench_driver):
     (bench_driver / "open").touch()
     rig = processes.node("rig", *parameters(driver="bench"))
-    assert rig.wait(60.0) == 2
+    assert rig.wait() == 2
     assert "rig: ZeroDivisionError: no bridge voltage in open (some_lab.py, line " in rig.errors
     assert "Traceback" not in rig.errors
 
@@ -71,7 +71,7 @@ def test_a_driver_that_fails_later_is_a_fault_that_can_be_mended(compiled, proce
     def wait_for_fault(where):
         sentence = f"ZeroDivisionError: no bridge voltage in {where}"
         observer.wait_for(
-            lambda: (state := health_of(health, "rig")) and state[0] == ERROR and sentence in state[1], sentence, 60.0
+            lambda: (state := health_of(health, "rig")) and state[0] == ERROR and sentence in state[1], sentence
         )
 
     (bench_driver / "open").touch()
@@ -104,7 +104,7 @@ def test_a_driver_that_fails_later_is_a_fault_that_can_be_mended(compiled, proce
 def test_a_driver_that_fails_before_it_is_opened_is_named_too(compiled, processes, bench_driver, where):
     (bench_driver / where).touch()
     rig = processes.node("rig", *parameters(driver="bench"))
-    assert rig.wait(60.0) == 2
+    assert rig.wait() == 2
     assert f"rig: ZeroDivisionError: no bridge voltage in {where} (some_lab.py, line " in rig.errors
 
 
@@ -112,7 +112,7 @@ def test_settings_for_a_driver_that_has_none_are_refused_at_start(compiled, proc
     file = bench_driver / "bench.yaml"
     file.write_text("driver: bench\nvoltage: 5.0\n")
     rig = processes.node("rig", *parameters(driver="bench", driver_config=file))
-    assert rig.wait(60.0) == 2
+    assert rig.wait() == 2
     assert "unknown key 'voltage': the driver 'bench' has no settings of its own" in rig.errors
 
 
@@ -121,15 +121,15 @@ def test_a_driver_without_a_block_is_told_with_its_time_and_the_rig_goes_on(
 ):
     rig = processes.node("rig", *parameters(driver="bench"))
     blocks, health = observer.follow_samples("daq/samples"), observer.follow("/diagnostics")
-    observer.wait_for(lambda: blocks, "samples", 120.0)
+    observer.wait_for(lambda: blocks, "samples")
     (bench_driver / "nothing").touch()
 
     def silent():
         state = health_of(health, "rig")
         return state and state[0] == ERROR and state[1].startswith("no samples from the driver for ")
 
-    observer.wait_for(silent, "a silent driver", 60.0)
+    observer.wait_for(silent, "a silent driver")
     (bench_driver / "nothing").unlink()
     blocks.clear()
-    observer.wait_for(lambda: blocks, "samples again", 60.0)
+    observer.wait_for(lambda: blocks, "samples again")
     assert rig.end()[0] == 0

@@ -147,7 +147,7 @@ def test_a_slow_ramp_down_in_mu_ends_squeal_at_the_fold(compiled, processes, obs
     files = ["--params-file", str(config_file)]
     rig = processes.node("simulator", *files, *parameters(**values))
     with observer.following_for_a_while():
-        blocks = observer.follow_samples("daq/samples")
+        blocks, truth = observer.follow_samples("daq/samples"), observer.follow_samples("truth/samples")
         observer.wait_for(lambda: blocks, "samples")
         p = observer.description().parameters
         fold, hit = zone(p).fold_mu, smallest_hit(p)
@@ -155,18 +155,23 @@ def test_a_slow_ramp_down_in_mu_ends_squeal_at_the_fold(compiled, processes, obs
         assert observer.set(struck) == [(True, "")] * 2
         assert observer.trigger("impact")[0]
 
-        def amplitude(seconds):
-            end = int(blocks[-1].samples["seq"][-1]) + int(seconds * 51200)
+        def in_force(mu):
+            """Number of a sample from which on that coefficient is in force, as far as it has come here."""
+            return next((int(b.samples["seq"][-1]) for b in reversed(truth) if b.samples["mu"][-1] == mu), None)
+
+        def amplitude(seconds, mu=law["mu0"]):
+            """Peak to peak of x in the block that comes so long after a coefficient was in force [m]."""
+            end = observer.wait_for(lambda: in_force(mu), f"mu = {mu}") + int(seconds * 51200)
             observer.wait_for(lambda: int(blocks[-1].samples["seq"][-1]) > end, "the wait")
             return float(np.ptp(blocks[-1].samples["x"]))
 
         assert amplitude(2.0) > 1e-7
         for mu in (0.2, 0.12, 0.1):
             assert observer.set({"mu0": mu}) == [(True, "")]
-            assert amplitude(1.0) > 1e-7
+            assert amplitude(1.0, mu) > 1e-7
         while mu > 0.08:
             assert observer.set({"mu0": mu}) == [(True, "")]
-            if amplitude(0.5) < 1e-8:
+            if amplitude(0.5, mu) < 1e-8:
                 break
             mu -= 0.0005
     measured(f"squeal ends at mu = {mu:.4f} going down 0.001 a second; the fold is at {fold:.4f}")

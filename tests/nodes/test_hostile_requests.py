@@ -31,7 +31,7 @@ def nodes(compiled, processes, observer, tmp_path_factory, config_file):
     )
     started["rig"] = processes.node("simulator", "--params-file", str(config_file))
     health = observer.follow("/diagnostics")
-    observer.wait_for(lambda: all(health_of(health, name) for name in NODES), "the health of every node", 60.0)
+    observer.wait_for(lambda: all(health_of(health, name) for name in NODES), "the health of every node")
     return started, health
 
 

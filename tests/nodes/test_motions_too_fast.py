@@ -21,7 +21,7 @@ def test_a_rig_that_sticks_reports_a_fault_answers_and_ends(compiled, processes,
     )
     health = observer.follow("/diagnostics")
     blocks = observer.follow_samples("daq/samples")
-    observer.wait_for(lambda: blocks, "samples", 60.0)
+    observer.wait_for(lambda: blocks, "samples")
     assert observer.set(HELD, atomically=True) == [(True, "")]
     state = observer.wait_for(
         lambda: (state := health_of(health, "rig")) and state[0] == ERROR and state, "the fault on /diagnostics"

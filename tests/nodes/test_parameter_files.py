@@ -63,7 +63,8 @@ def test_a_bad_value_for_every_node_is_found_by_the_check(tmp_path):
 
 def dumped(observer, name):
     """All parameters of a node as `ros2 param dump` writes them."""
-    names = observer.call(ListParameters, f"{name}/list_parameters", ListParameters.Request()).result.names
+    listed = observer.call(ListParameters, f"{name}/list_parameters", ListParameters.Request(), repeat=2.0)
+    names = listed.result.names
     lines = [f"/{name}:", "  ros__parameters:"]
     for key, value in observer.get(names, name).items():
         if isinstance(value, bool):

@@ -19,6 +19,7 @@ aiohttp = pytest.importorskip("aiohttp")
 from mcap.records import Schema  # noqa: E402
 from mcap_ros2.decoder import DecoderFactory  # noqa: E402
 
+from tests.graph import PATIENCE  # noqa: E402
 from tests.graph.processes import parameters  # noqa: E402
 
 _RATE = 12800
@@ -68,7 +69,7 @@ class Spoken:
         head = struct.pack("<BIII", 2, self.services[name], number, len(encoding))
         await self._socket.send_bytes(head + encoding + b"\0\1\0\0\0")
 
-    async def until(self, condition, patience=60.0):
+    async def until(self, condition, patience=PATIENCE):
         deadline = time.monotonic() + patience
         while not condition():
             assert time.monotonic() < deadline, (self.topics, self.services, self.answers)

@@ -393,5 +393,5 @@ def test_bags_begun_in_one_second_have_folders_of_their_own(tmp_path, monkeypatc
 def test_where_no_folder_can_be_made_the_writer_says_so(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("bags").write_text("a file")
-    with pytest.raises(DiskError, match="Cannot create the bag directory .*: Not a directory"):
+    with pytest.raises(DiskError, match=r"Cannot create the bag directory .*: Not a directory"):
         BagWriter(new_directory())
