@@ -31,10 +31,10 @@ FILE_PARAMETERS: dict[str, type[Declared]] = {
     "springs, each entry of a catalogue": Spring,
 }
 _FILES = """
-# Files of drivers, and springs
+## Files of drivers, and springs
 
 Read at start; the driver `virtual` has no settings of its own. See [drivers.md](drivers.md) and
-[hardware.md](hardware.md).
+[hardware.md](hardware.md). All kinds of files: [files.md](files.md).
 """
 
 
@@ -51,7 +51,7 @@ def parameter_table() -> str:
         parts += [_row(declaration) for declaration in known]
     parts.append(_FILES)
     for title, kind in FILE_PARAMETERS.items():
-        parts.append(f"\n## {title}\n\n| name | default | unit | bounds | what |\n|---|---|---|---|---|\n")
+        parts.append(f"\n### {title}\n\n| name | default | unit | bounds | what |\n|---|---|---|---|---|\n")
         parts += [_row(declaration, run_time=False) for declaration in declarations(kind).values()]
     return "".join(parts)
 
