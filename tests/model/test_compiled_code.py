@@ -71,7 +71,8 @@ def test_a_second_process_loads_compiled_code_and_does_not_compile(tmp_path, eng
     assert (hits, misses) == ("0", "1")
     hits, misses, *second = python(code, NUMBA_CACHE_DIR=str(tmp_path))
     assert (hits, misses) == ("1", "0")
-    assert second == first
+    # The last bits may differ: docs/decisions/0026.
+    assert list(map(float, second)) == pytest.approx(list(map(float, first)), rel=1e-9)
 
 
 AFTER_WARM_UP = (
