@@ -124,7 +124,9 @@ def _stop_twice(bench):
     begun = bench.ask_stop("once")
     bench.observer.wait_for(bench.is_safe, "the stop")
     bench.ask_stop("twice")
-    bench.observer.wait_for(lambda: bench.status(bench.safe, "rig safe")[2]["requests"] not in ("0", "1"), "the second request")
+    bench.observer.wait_for(
+        lambda: bench.status(bench.safe, "rig safe")[2]["requests"] not in ("0", "1"), "the second request"
+    )
     return begun
 
 
