@@ -67,7 +67,7 @@ def test_a_folder_is_taken_by_one_campaign_that_runs_once(tmp_path):
     store = start(tmp_path / "a", campaign)
     with pytest.raises(ExperimentError, match="runs already"):
         Store.resume(tmp_path / "a")
-    with pytest.raises(DiskError, match="is not empty"):
+    with pytest.raises(DiskError, match="holds a campaign"):
         start(tmp_path / "a", campaign)
     store.close()
     (tmp_path / "a" / PLAN).write_text(LEVELS.replace("levels", "others"))

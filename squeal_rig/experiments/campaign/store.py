@@ -173,12 +173,15 @@ def _check_empty(folder: Path, campaign: Campaign) -> None:
     names = {path.name for path in folder.iterdir() if not path.name.startswith(".")} if folder.is_dir() else set()
     if PLAN in names and (folder / PLAN).read_bytes() == campaign.text.encode():
         names.discard(PLAN)
+    begins, line = b'{"what": "campaign"', b""
     if JOURNAL in names:
         line = (folder / JOURNAL).read_bytes()
-        if b"\n" not in line and b'{"what": "campaign"'.startswith(line[:19]):
+        if b"\n" not in line and begins.startswith(line[: len(begins)]):
             names.discard(JOURNAL)
+    if names and line.startswith(begins):
+        raise DiskError(f"{folder} holds a campaign: `squeal-rig campaign resume {folder}` goes on with it.")
     if names:
-        raise DiskError(f"{folder} is not empty: `squeal-rig campaign resume {folder}` goes on with a campaign.")
+        raise DiskError(f"{folder} is not empty, and holds no campaign: choose another folder.")
 
 
 def _arrow() -> tuple[Any, Any]:
