@@ -109,6 +109,7 @@ def test_a_window_without_a_valid_sample_has_no_mu_and_says_so(bench):
     try:
         # It joins a running rig: the truth of the first window may have come before it listened to that.
         bench.observer.wait_for(lambda: any(w.samples["mu_true"][0] > 0.0 for w in windows), "a window with its truth")
+        bench.observer.wait_for(lambda: samples, "samples")
     finally:
         assert deaf.end()[0] == 0
     window = next(w.samples[0] for w in windows if w.samples["mu_true"][0] > 0.0)
