@@ -56,14 +56,14 @@ class Terminal:
             cwd=self._folder,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
+            stderr=subprocess.STDOUT,  # in the order in which a terminal shows them
             text=True,
             start_new_session=True,
         )
         self._groups.append(process.pid)
-        output, errors = process.communicate(timeout=_PATIENCE)
-        assert process.returncode == 0, f"{where}: {output[-2000:]}\n{errors[-2000:]}"
-        return output + errors
+        output, _ = process.communicate(timeout=_PATIENCE)
+        assert process.returncode == 0, f"{where}: {output[-4000:]}"
+        return output
 
     def close(self):
         """End what still runs in the background."""
