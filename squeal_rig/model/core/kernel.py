@@ -31,7 +31,7 @@ def fused_kernel(function: F) -> F:
 
     a*b + c may be rounded once instead of twice (fused multiply-add; no other liberty with floating point is taken).
     The last bit may differ between kinds of processor, and between the process that compiled the code and those that
-    take it from disk (seen; presumably of a function that is part of several others not always the same copy is linked).
+    take it from disk (docs/decisions/0026-last-bits-are-not-promised.md).
     Arrays cannot be made inside, so none is counted either: numba's reference counts are atomic, and cost several times
     what a short function computes.
     """
