@@ -1,4 +1,4 @@
-"""Half a minute at full rate without a gap, every stamp the device's; five by `python -m tests.drivers.long_run`."""
+"""Half a minute without a gap, stamps the device's; `python -m tests.drivers.long_run --minutes 5` for five."""
 
 import pytest
 
