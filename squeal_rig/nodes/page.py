@@ -28,10 +28,11 @@ from squeal_rig.instruments.driver import Samples
 from squeal_rig.page.access import Access, read_token
 from squeal_rig.page.commands import HIT
 from squeal_rig.page.packing import packed
-from squeal_rig.page.picture import Picture, Status
+from squeal_rig.page.picture import Picture
 from squeal_rig.page.server import PageServer
 from squeal_rig.page.settings import PageSettings
 from squeal_rig.page.sound import Sound
+from squeal_rig.recording.messages import Status
 
 _BESIDE = (sys.executable, str(Path(__file__).with_name("start.py")), "operating_map")
 _LOOK_EVERY = 0.5

@@ -20,12 +20,10 @@ from squeal_rig.instruments.driver import Samples
 from squeal_rig.page.commands import settable
 from squeal_rig.page.packing import packed
 from squeal_rig.page.progress import Progress
+from squeal_rig.recording.messages import Status
 from squeal_rig.safety.settings import LIMITED, SupervisorSettings
 from squeal_rig.view.pictures import decimated, spectrum_lines
 from squeal_rig.view.window import LastSamples
-
-#: (level, sentence, values) of a diagnostic status.
-Status = tuple[int, str, Mapping[str, str]]
 
 POINTS = 500
 SPECTRUM_HIGH = 10_000.0  # Hz

@@ -14,8 +14,9 @@ from squeal_rig.errors import RecordingError
 from squeal_rig.instruments.channels import DAQ_CHANNELS, FRICTION_WINDOW_NEEDED, block_from_cdr
 from squeal_rig.instruments.description import RigDescription
 from squeal_rig.page.packing import packed
-from squeal_rig.page.picture import COLUMN_LINES, COLUMNS_PER_SECOND, TREND, Picture, Status, column
+from squeal_rig.page.picture import COLUMN_LINES, COLUMNS_PER_SECOND, TREND, Picture, column
 from squeal_rig.recording import Bag, RawMessage, decoder_of
+from squeal_rig.recording.messages import statuses
 from squeal_rig.samples.blocks import DAQ, DESCRIPTION, rig_topic, text_reader
 
 _WINDOW = 0.25  # a time shows the samples of so long before it [s]
@@ -81,10 +82,10 @@ class RecordedPicture:
             self.picture.take_rig(RigDescription.from_yaml(self._text(data)))
         stability, run = self._others.get("stability"), self._others.get("run")
         if stability in last:
-            self.picture.take_stability(dict(_statuses(self._decoders["stability"](last[stability]))))
+            self.picture.take_stability(dict(statuses(self._decoders["stability"](last[stability]))))
         for log_time, topic, data in told:
             if topic == run:
-                for _, status in _statuses(self._decoders["run"](data)):
+                for _, status in statuses(self._decoders["run"](data)):
                     self.picture.take_run(log_time * 1e-9, status)
 
     def _take(self, message: RawMessage) -> None:
@@ -92,7 +93,7 @@ class RecordedPicture:
             window = block_from_cdr(message.data, FRICTION_WINDOW_NEEDED).samples[0]
             self.picture.take_window(*(float(window[n]) for n in ("t_end", "mu", "mu_ratio_of_means", "mu_true")))
             return
-        for _, status in _statuses(self._decoders["squeal"](message.data)):
+        for _, status in statuses(self._decoders["squeal"](message.data)):
             self.picture.take_squeal(message.log_time * 1e-9, status)
 
     def _blocks(self, now: int, length: float) -> Iterator[Any]:
@@ -117,9 +118,3 @@ class RecordedPicture:
                 self._columns[number] = column(samples, rig.sample_rate) if sound else np.zeros(COLUMN_LINES, np.uint8)
             columns += [self._columns[number]] * self._repeat
         return columns
-
-
-def _statuses(message: Any) -> Iterator[tuple[str, Status]]:
-    for found in message.status:
-        level = found.level if isinstance(found.level, int) else int.from_bytes(found.level, "little")
-        yield str(found.name), (level, str(found.message), {pair.key: pair.value for pair in found.values})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
 from typing import Any
 
@@ -13,6 +13,8 @@ from squeal_rig.errors import RecordingError
 from .schemas import MessageSchema
 
 Decode = Callable[[bytes], Any]
+#: Level, sentence and values of a diagnostic status.
+Status = tuple[int, str, Mapping[str, str]]
 
 
 @lru_cache(maxsize=64)
@@ -45,6 +47,20 @@ def as_mapping(message: Any) -> Any:
         return [as_mapping(item) for item in message]
     names = getattr(type(message), "__slots__", None)
     return message if names is None else {name: as_mapping(getattr(message, name)) for name in names}
+
+
+def statuses(message: Any) -> Iterator[tuple[str, Status]]:
+    """Yield name and status of each entry of a decoded diagnostic_msgs/DiagnosticArray.
+
+    Raises:
+        RecordingError: it is of another type.
+    """
+    try:
+        for found in message.status:
+            level = found.level if isinstance(found.level, int) else int.from_bytes(found.level, "little")
+            yield str(found.name), (level, str(found.message), {pair.key: pair.value for pair in found.values})
+    except (AttributeError, TypeError) as error:
+        raise RecordingError(f"A message holds no diagnostic statuses ({error}).") from None
 
 
 def _guarded(decode: Decode, type_name: str) -> Decode:

@@ -8,21 +8,31 @@ from pathlib import Path
 from rich.console import Group, RenderableType
 from rich.table import Table
 
-from squeal_rig.recording import Bag
+from squeal_rig.errors import RecordingError
+from squeal_rig.recording import Bag, decoder_of
 from squeal_rig.recording.gaps import CLOUD_TYPE, SampleCount
+from squeal_rig.recording.messages import statuses
 from squeal_rig.recording.parameter_log import AT_START, CHANGE
+from squeal_rig.safety.levels import Level
+
+_TRIPS = "supervisor/trips"
+_TRIP_LEVELS = (Level.RAMP_DOWN.words, Level.STOP.words)
+_MOST_TRIPS = 5  # shown; the others are counted
 
 
 def bag_info(path: Path | str, quick: bool = False) -> Group:
     """Size, time, ending, provenance, topics and samples of a bag, to print.
 
-    quick: read the indexes only, and count no samples.
+    quick: read the indexes only; no samples are counted, no trips told.
 
     Raises:
         RecordingError: the bag cannot be read.
     """
     bag = Bag(path)
-    parts: list[RenderableType] = [_facts(bag), _topics(bag)]
+    facts = _facts(bag)
+    for trip in [] if quick else _trips(bag):
+        facts.add_row("supervisor", trip)
+    parts: list[RenderableType] = [facts, _topics(bag)]
     counts = {} if quick else sample_counts(bag)
     if counts:
         parts.append(_samples(counts))
@@ -61,6 +71,22 @@ def _facts(bag: Bag) -> Table:
             values = record.values
             facts.add_row("snapshot", f"{values.get('reason', '')}, {values.get('seconds', '?')} s")
     return facts
+
+
+def _trips(bag: Bag) -> list[str]:
+    """What the supervisor took the rig out of operation for, and when: a bag's end says that of the recording only."""
+    told = []
+    try:
+        for name in [topic for topic in bag.topics if f"/{topic}".endswith(f"/{_TRIPS}")]:
+            decode = decoder_of(bag.topics[name].schema)
+            for message in bag.messages([name]):
+                for _, (_, sentence, values) in statuses(decode(message.data)):
+                    if values.get("raised the level") == "true" and values.get("level") in _TRIP_LEVELS:
+                        seconds = (message.log_time - bag.start_time) * 1e-9
+                        told.append(f"{values['level']} at {seconds:.1f} s: {sentence}")
+    except RecordingError as error:
+        told.append(f"its trips cannot be read: {error}")
+    return told[:_MOST_TRIPS] + ([f"{len(told) - _MOST_TRIPS} more"] if len(told) > _MOST_TRIPS else [])
 
 
 def _moment(time: int) -> str:
