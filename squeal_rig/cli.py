@@ -155,12 +155,12 @@ def analyse(
     """Friction, squeal frequency against the eigenvalues, time off the belt: a table and a PNG."""
     from squeal_rig.analysis.segments import analyse_bag
     from squeal_rig.report.run_figure import check_picture, draw_run
-    from squeal_rig.report.tables import segment_table, zone_sentences
+    from squeal_rig.report.tables import SegmentTable, zone_sentences
 
     target = picture or (bag if bag.is_dir() else bag.parent) / "report.png"
     check_picture(target, force)
     analysis = analyse_bag(bag)
-    console.print(segment_table(analysis))
+    console.print(SegmentTable(analysis))
     for sentence in zone_sentences(analysis):
         console.print(sentence)
     if analysis.lost_samples:

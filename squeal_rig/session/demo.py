@@ -12,7 +12,7 @@ from squeal_rig.estimation.hard_squeal import hard_squeal
 from squeal_rig.experiments.plan import load_plan
 from squeal_rig.model.parameters import RigParameters
 from squeal_rig.report.run_figure import draw_run
-from squeal_rig.report.tables import segment_table, zone_sentences
+from squeal_rig.report.tables import SegmentTable, zone_sentences
 from squeal_rig.session.replay_check import replay_and_compare
 from squeal_rig.session.run import SessionOptions, SignalWatch, private_domain, run_session
 
@@ -44,7 +44,7 @@ def run_demo(bag: Path, console: Console, instruments: str | None = None) -> int
     comparison = replay_and_compare(bag, config, _REPLAY_RATE, watch)
     console.print(comparison.sentence)
     analysis = analyse_bag(bag)
-    console.print(segment_table(analysis))
+    console.print(SegmentTable(analysis))
     for sentence in zone_sentences(analysis):
         console.print(sentence)
     picture = bag / "report.png"

@@ -1,6 +1,7 @@
 """A recorded run analysed offline: written with the real writer from the real virtual rig, without ROS."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,8 @@ from squeal_rig.instruments.virtual import VirtualRig
 from squeal_rig.model import RigParameters, zone
 from squeal_rig.recording import BagWriter, MessageSchema, cdr_from_samples
 from squeal_rig.report.run_figure import draw_run
-from squeal_rig.report.tables import zone_sentences
+from squeal_rig.report.tables import SegmentTable, zone_sentences
+from squeal_rig.report.terminal import PlainConsole
 from squeal_rig.samples.blocks import recorded_blocks
 from tests.messages import string_cdr
 
@@ -120,6 +122,20 @@ def test_each_operating_point_has_its_zone(bag: Path):
     assert [row["zone"] for row in segment_rows(analysis)] == ["bistable", "squeal"]
     # At 300 N the eigenvalues tell it: no hard squeal.
     assert zone_sentences(analysis) == []
+
+
+@pytest.mark.parametrize(("width", "tables"), [(60, 2), (200, 1)])
+def test_a_narrow_terminal_gets_every_number_whole(bag: Path, width: int, tables: int):
+    found = analyse_bag(bag)
+    analysis = replace(found, segments=found.segments * 3)
+    console = PlainConsole(width=width)
+    with console.capture() as shown:
+        console.print(SegmentTable(analysis))
+    text = shown.get()
+    assert "\N{HORIZONTAL ELLIPSIS}" not in text
+    assert text.count("k_cr [N/m]") == tables
+    assert text.count(f"{analysis.segments[0].parameters.belt_speed:.2f}") >= len(analysis.segments)
+    assert text.count("Operating points of") == 1
 
 
 def test_squeal_that_the_eigenvalues_call_stable_is_said_to_be_so(tmp_path: Path):
