@@ -25,11 +25,16 @@ _TOP_FREQUENCY, _LOWEST = 5000.0, -80.0
 _MOST_DRAWN = 5000
 # Axes of the operating map, and how many panels it has at most.
 _MAP_AXES, _MOST_PANELS = ("preload", "belt_speed"), 6
+_MEASURED = {
+    "level": "dB re 1 um", "tonality": "dB", "frequency": "Hz", "predicted_growth": "1/s", "onset": "s",
+    "duration": "s", "growth": "1/s", "growth_error": "1/s", "decay": "1/s", "decay_error": "1/s",
+}  # fmt: skip
 
 
 def unit_of(name: str) -> str:
-    """Unit of a factor, in brackets; empty where it has none."""
-    unit = declarations(RigParameters)["k1" if name == PAD_STIFFNESS else name].unit
+    """Unit of a factor or of a measured column, in brackets; empty where it has none."""
+    declared = declarations(RigParameters).get("k1" if name == PAD_STIFFNESS else name)
+    unit = _MEASURED.get(name, "") if declared is None else declared.unit
     return f" [{unit}]" if unit else ""
 
 

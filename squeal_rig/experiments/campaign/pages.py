@@ -21,6 +21,7 @@ from squeal_rig.experiments.campaign.figures import (
     operating_map,
     root_locus,
     spectrogram_figure,
+    unit_of,
 )
 from squeal_rig.experiments.campaign.measuring import (
     FAILED,
@@ -316,7 +317,9 @@ def _table(name: str, caption: str, table: Table, most: int | None = None) -> Da
     if most is not None and count > most:
         caption += f" (the first {most} of {count}; all of them in {name}_all.csv)"
     rows = [[_plain(table[column][i]) for column in columns] for i in range(min(count, most or count))]
-    return DataTable(name, caption, columns, rows)
+    # What is read by people has units; the files of all rows have the names of the columns as they are kept.
+    shown = columns if most is None else [column + unit_of(column) for column in columns]
+    return DataTable(name, caption, shown, rows)
 
 
 def _some(table: Table, names: tuple[str, ...]) -> Table:
