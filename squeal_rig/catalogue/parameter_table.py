@@ -33,8 +33,8 @@ FILE_PARAMETERS: dict[str, type[Declared]] = {
 _FILES = """
 ## Files of drivers, and springs
 
-Read at start; the driver `virtual` has no settings of its own. See [drivers.md](drivers.md) and
-[hardware.md](hardware.md). All kinds of files: [files.md](files.md).
+Read at start; the driver `virtual` has no settings of its own. See [drivers](drivers.md) and
+[hardware](hardware.md). All kinds of files: [files](files.md).
 """
 
 
