@@ -310,7 +310,7 @@ def line(twin, tmp_path):
         rig.close()
 
 
-@pytest.mark.parametrize("how", ["cut", "hung"])
+@pytest.mark.parametrize("how", ["cut", pytest.param("hung", marks=pytest.mark.slow)])
 def test_a_unit_that_does_not_answer_is_told_by_name_and_the_other_is_stopped(line, how):
     rig, proxy = line
     if how == "cut":
@@ -332,6 +332,7 @@ def test_a_unit_that_does_not_answer_is_told_by_name_and_the_other_is_stopped(li
     assert rig._safe_lines["preload_unit"]._line.read("enable") == 0.0
 
 
+@pytest.mark.slow
 def test_the_safe_command_of_a_hung_unit_fails_by_name_and_is_sent_to_the_others(line):
     rig, proxy = line
     proxy.hung.set()

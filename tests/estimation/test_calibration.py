@@ -77,6 +77,7 @@ def test_thresholds_alone_say_nothing_of_mass_and_scale():
     assert "mass" in known.wide
 
 
+@pytest.mark.slow
 def test_a_root_that_cannot_exist_is_reported_as_none(tmp_path):
     # Mirrored arms: no mode coupling, whatever else is free.
     problem = Calibration.of(load_targets(PAPER))

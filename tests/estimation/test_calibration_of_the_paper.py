@@ -64,6 +64,7 @@ def test_the_residuals_in_the_header_are_those_of_the_numbers_below():
     assert [line.rstrip() for line in lines] == [line for line in header if line in {x.rstrip() for x in lines}]
 
 
+@pytest.mark.slow
 def test_the_command_in_the_header_gives_the_shipped_numbers():
     text = PRESET.read_text()
     assert "squeal-rig calibrate config/calibrations/yavuz_sen_2023.yaml --seed 1 --starts 8" in text
@@ -88,6 +89,7 @@ def test_thresholds_that_are_bilinear_have_no_floor():
     assert largest_floor(replace(PROBLEM.targets, items=tuple(exact))) < 1e-9
 
 
+@pytest.mark.slow
 def test_accuracy_of_thresholds_is_bought_with_mass():
     light, heavy = trade_off(PROBLEM, weights=(), masses=(15.0, 100.0), starts=2)
     # docs/physics.md: RMS-best fits have a mean error of 3.8 % at 15 kg and 3.1 % at 100 kg.
@@ -96,6 +98,7 @@ def test_accuracy_of_thresholds_is_bought_with_mass():
     assert heavy.threshold_rms > bilinear_floors(PROBLEM.targets).rms
 
 
+@pytest.mark.slow
 def test_better_frequencies_cost_accuracy_of_thresholds():
     points = trade_off(PROBLEM, weights=(0.1, 1.0, 4.0), masses=(), starts=2)
     assert [p.threshold_rms for p in points] == sorted(p.threshold_rms for p in points)

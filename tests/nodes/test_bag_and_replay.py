@@ -146,6 +146,7 @@ def test_the_bag_says_what_the_run_was_and_how_it_ended(live):
     assert bag.topics["/daq/samples"].qos[0].reliability == "reliable"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("topic", REPLAYED)
 def test_a_replay_recorded_again_has_the_same_bytes(live, replayed, topic):
     payloads = _payloads(live)[topic]
@@ -153,6 +154,7 @@ def test_a_replay_recorded_again_has_the_same_bytes(live, replayed, topic):
     assert _payloads(replayed)[topic] == payloads
 
 
+@pytest.mark.slow
 def test_a_fresh_estimator_gives_the_same_windows_on_the_replay(live, replayed):
     comparison = compared(recorded_windows(live), list(recorded_windows(replayed)))
     assert comparison.live >= 10

@@ -74,6 +74,7 @@ def test_a_lone_rig_is_stopped_by_anybody_and_goes_on_after_its_reset(compiled, 
     assert "Traceback" not in rig.errors
 
 
+@pytest.mark.slow
 def test_a_rig_that_wants_a_supervisor_waits_for_its_heartbeat_and_obeys_it(compiled, processes, observer):
     """Our own heartbeat, so that it says what the test wants."""
     rig = processes.node(
