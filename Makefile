@@ -48,10 +48,10 @@ demo: .venv/.ready
 reproduce: .venv/.ready
 	.venv/bin/squeal-rig reproduce $(ARGS)
 
-# What computes, then what starts ROS graphs: five processes and more each, in domains of their own. The page comes last
-# and alone: a graph of its own and a browser are all that two cores carry.
-GRAPHS := tests/nodes tests/system tests/bags tests/faults
-PAGE := tests/page
+# What computes, then what starts ROS graphs: five processes and more each, in domains of their own. The browser comes last
+# and alone: a graph of its own beside it is all that two cores carry. Where there is none, the page's pictures are left.
+GRAPHS := tests/nodes tests/system tests/bags tests/faults tests/page/test_foxglove.py
+PAGE := tests/page/test_in_browser.py tests/page/test_picture.py
 TWO := -n 2 --dist loadfile
 
 test: .venv/.ready

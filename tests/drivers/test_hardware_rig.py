@@ -199,6 +199,7 @@ def test_a_whole_id_finds_a_signal_as_well(twin, tmp_path):
     rig.close()
 
 
+@pytest.mark.slow
 def test_a_pulled_cable_is_told_with_its_age_and_a_reset_mends_it(tmp_path):
     needs_extra()
     twin = serve_twin(tmp_path)

@@ -119,6 +119,7 @@ def test_a_window_without_a_valid_sample_has_no_mu_and_says_so(bench):
     assert np.all(samples[0].samples["mu"] == 0.0)
 
 
+@pytest.mark.slow
 def test_five_operating_points_give_the_law_back(bench):
     # An estimator of its own, begun at rest: the other one has met squeal, whose windows are less exact.
     names = {

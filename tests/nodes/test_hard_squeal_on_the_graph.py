@@ -43,6 +43,7 @@ def test_it_follows_an_update_and_equals_what_is_computed_offline(bench):
         assert (level, message, values) == (expected[0], expected[2], dict(expected[3]))
 
 
+@pytest.mark.slow
 def test_the_latest_of_many_set_points_wins_and_eigenvalues_do_not_wait(bench):
     bench.observer.wait_for(lambda: _of_preload(bench.summaries, 50.0), "the first one", PATIENCE)
     bench.summaries.clear()

@@ -70,6 +70,7 @@ def test_a_player_at_the_end_of_its_bag_ends_by_itself(recorded, processes, obse
     assert "played" in player.errors
 
 
+@pytest.mark.slow
 def test_a_subscriber_that_hangs_keeps_neither_the_player_nor_the_rig_from_ending(recorded, processes, observer):
     hanging = processes.node("friction_estimator")
     observer.wait_for(lambda: "friction_estimator" in observer.node.get_node_names(), "the estimator")

@@ -140,6 +140,7 @@ def _python(program, *arguments):
     return subprocess.run(command, check=False, capture_output=True, text=True, timeout=60.0)
 
 
+@pytest.mark.slow
 def test_commands_that_need_no_ros_import_none(bag, tmp_path):
     picture = str(tmp_path / "picture.png")
     on_bag = ["info", str(bag)], ["analyse", str(bag), "--picture", picture]

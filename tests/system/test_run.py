@@ -129,9 +129,8 @@ def test_the_recorded_run_can_be_analysed_and_shown(planned, in_process):
     assert "/stability/summary" in output
 
 
-@pytest.mark.parametrize(
-    "signals", [pytest.param((signal.SIGINT,), marks=pytest.mark.slow), (signal.SIGINT, signal.SIGINT)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("signals", [(signal.SIGINT,), (signal.SIGINT, signal.SIGINT)])
 def test_ctrl_c_ends_a_run_cleanly_with_a_valid_bag(processes, tmp_path, signals, measured):
     child = processes.command(
         "run",
