@@ -21,6 +21,8 @@ LISTENERS = "listeners to "
 
 #: Key of the recorder's health value: the topics of whose publishers it knows.
 HEARD = "heard"
+#: Key of the recorder's health value, before a topic of blocks: its publisher's number of the last one taken, from 1.
+LAST_TAKEN = "last taken of "
 
 
 def listeners(publishers: Mapping[str, Any]) -> dict[str, int]:

@@ -31,7 +31,8 @@ _WAIT_STEP = 0.02
 _CLOCK_PERIOD = 0.01
 # Subscribers are found one after the other: all there were for this time [s] are taken for all there are.
 _MATCHING = 0.5
-_ACKNOWLEDGE_TIMEOUT = 2.0
+# Fast DDS asks for what is missing every 3 s.
+_ACKNOWLEDGE_TIMEOUT = 5.0
 _CLOCK = "/clock"
 _LONGEST_TOLD = 80  # of a name that is none
 

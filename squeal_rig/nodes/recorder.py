@@ -15,13 +15,14 @@ from std_srvs.srv import Trigger
 from squeal_rig.errors import DiskError, RecordingError
 from squeal_rig.graph import qos
 from squeal_rig.graph.conversions import ERROR, OK, WARN, status_values
-from squeal_rig.graph.health import HEARD, Health, HealthPublisher
+from squeal_rig.graph.health import HEARD, LAST_TAKEN, Health, HealthPublisher
 from squeal_rig.graph.lifetime import STEADY, Lifetime, run_node
 from squeal_rig.graph.parameter_watch import ParameterWatch, Values
 from squeal_rig.graph.parameters import NODE_OPTIONS, DeclaredParameters
 from squeal_rig.graph.subscriptions import Taken, TopicSubscriptions
 from squeal_rig.recording import QosProfile
-from squeal_rig.recording.session import RecordingSession
+from squeal_rig.recording.gaps import CLOUD_TYPE
+from squeal_rig.recording.session import RecordingSession, SessionTopic
 from squeal_rig.recording.settings import RecorderSettings
 from squeal_rig.recording.writer import MAX_TIME
 
@@ -39,6 +40,7 @@ class RecorderNode(Node):
         self._session = RecordingSession(self._settings)
         self._squealing = False
         self._missed = 0
+        self._blocks: dict[str, SessionTopic] = {}
         self._snapshot_due: float | None = None
         if self._settings.autostart:
             self._session.start(self._now())
@@ -69,6 +71,8 @@ class RecorderNode(Node):
 
     def _found(self, topic: str, type_name: str, offered: list[QosProfile]) -> Taken:
         known = self._session.add_topic(topic, type_name, offered)
+        if type_name == CLOUD_TYPE:
+            self._blocks[topic] = known
 
         def take(data: bytes, info: dict[str, int | None]) -> None:
             missed = known.missed(info.get("publication_sequence_number"))
@@ -160,6 +164,7 @@ class RecorderNode(Node):
             "messages": session.message_count,
             "topics": len(self._topics),
             HEARD: ", ".join(self._topics.heard),
+            **{LAST_TAKEN + topic: known.number for topic, known in self._blocks.items()},
             "lost messages": self._lost,
             "refused messages": session.refused,
             "in memory [s]": round(session.seconds_in_memory, 1),

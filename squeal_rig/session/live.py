@@ -26,7 +26,7 @@ from squeal_rig.estimation.stability_follower import DESCRIPTION_KEY, IN_FORCE, 
 from squeal_rig.experiments.engine import RunEvent
 from squeal_rig.graph import qos
 from squeal_rig.graph.conversions import ERROR, OK, diagnostics, status, status_number, status_values
-from squeal_rig.graph.health import HEARD, LISTENERS
+from squeal_rig.graph.health import HEARD, LAST_TAKEN, LISTENERS
 from squeal_rig.graph.lifetime import GuardedExecutor
 from squeal_rig.graph.names import Claim, is_running
 from squeal_rig.instruments.acquisition import NOT_MOVABLE
@@ -46,6 +46,8 @@ _HIT_TIMEOUT = 180.0
 _SPIN = 0.05
 # A rig is safe to touch below these, as it measures them [N], [m/s]; it has so long to come there [s].
 _NO_PRELOAD, _NO_SPEED, _STANDSTILL = 5.0, 0.02, 120.0
+# Longest that a rig and a recorder that are to end are waited for [s].
+_HAND_OVER = 10.0
 # Longest that a rig takes to connect anew [s].
 _START = 60.0
 #: Parameter of this node by which a mechanic says that the springs of that name are fitted.
@@ -76,6 +78,7 @@ class LiveState:
     trip: str = ""
     listeners: dict[str, int] = field(default_factory=dict)  # as the publishers of the topics count them
     recorded: frozenset[str] = frozenset()  # topics whose publishers the recorder knows
+    taken: dict[str, int] = field(default_factory=dict)  # number of the last block that the recorder has of a topic
     health: dict[str, tuple[int, str]] = field(default_factory=dict)
 
 
@@ -92,7 +95,7 @@ class LiveGraph:
         self._executor = GuardedExecutor()
         self._executor.add_node(self._node)
         self._watched = watched
-        self._samples = 0
+        self._samples = self._blocks = 0
         self._interval = math.nan
         self._next_seq: int | None = None
         self._description = ""
@@ -121,6 +124,21 @@ class LiveGraph:
         """Leave the graph."""
         self._node.destroy_node()
         rclpy.try_shutdown()
+
+    def hand_over(self, recorded: Iterable[str]) -> None:
+        """Have the rig give no more samples and the recorder take its blocks on topics `recorded`, within some seconds.
+
+        What a process that stands still has not received goes with the publisher that ends.
+        """
+        deadline = time.monotonic() + _HAND_OVER
+        if self._change_state.service_is_ready():
+            request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_DEACTIVATE))
+            answer = self._change_state.call_async(request)
+            while not answer.done() and time.monotonic() < deadline:
+                self._executor.spin_for(_SPIN)
+        topics = [self._node.resolve_topic_name(name) for name in recorded]
+        while any(self.state.taken.get(t, 0) < self._blocks for t in topics) and time.monotonic() < deadline:
+            self._executor.spin_for(_SPIN)
 
     def spin(self, seconds: float = _SPIN) -> None:
         """Take what comes for that long [s]."""
@@ -291,6 +309,7 @@ class LiveGraph:
         first = int(daq["seq"][0])
         missing = 0 if self._next_seq is None else samples_missing(self._next_seq, first)
         self._samples += len(daq) + (missing or 0)
+        self._blocks += 1 + (missing or 0) // max(1, len(daq))
         self._next_seq = first + len(daq)
         self.on_samples(daq)
         if len(daq) > 1:
@@ -349,8 +368,9 @@ class LiveGraph:
             if found.name.split("/")[-1] == "recorder":
                 self.state.recorded_bytes = status_number(found, "bytes")
                 self.state.recorded = frozenset(status_values(found).get(HEARD, "").split(", "))
-            self.state.listeners |= {
-                key.removeprefix(LISTENERS): int(value)
-                for key, value in status_values(found).items()
-                if key.startswith(LISTENERS)
-            }
+            for prefix, numbers in ((LISTENERS, self.state.listeners), (LAST_TAKEN, self.state.taken)):
+                numbers |= {
+                    key.removeprefix(prefix): int(value)
+                    for key, value in status_values(found).items()
+                    if key.startswith(prefix)
+                }

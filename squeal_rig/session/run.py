@@ -119,6 +119,7 @@ def run_session(options: SessionOptions, console: Console, watch: SignalWatch) -
     log_directory = Path(tempfile.mkdtemp(prefix="squeal_rig_"))
     nodes: list[NodeProcess] = []
     spared: set[str] = set()
+    started = False
 
     def watched() -> None:
         watch.check()
@@ -136,6 +137,7 @@ def run_session(options: SessionOptions, console: Console, watch: SignalWatch) -
     try:
         graph.refuse_other_rig()
         _start(options, nodes, log_directory, graph)
+        started = True
         spared.add(PAGE)  # the rig and its recorder do not need it
         with StateDisplay(console, graph.state) as display:
             _follow(options, graph, display)
@@ -144,6 +146,8 @@ def run_session(options: SessionOptions, console: Console, watch: SignalWatch) -
     finally:
         # The rig first, so that everybody else still takes its last block; the recorder last.
         running, nodes = list(nodes), []
+        if started:  # not before: the rig of that name may be somebody else's
+            graph.hand_over(_sampled(options, graph))
         for names in (RIGS, (*CONSUMERS, SUPERVISOR, PAGE), ("recorder",)):
             chosen = [n for n in running if n.name in names]
             result.exit_codes |= stop_all(chosen, options.bag if "recorder" in names else None)
@@ -181,12 +185,18 @@ def _start(options: SessionOptions, nodes: list[NodeProcess], logs: Path, graph:
         nodes.append(NodeProcess("recorder", logs, [*files, "-p", f"directory:={options.bag}"]))
     wanted = _wanted_listeners(options, len(nodes))
     graph.wait_for(lambda: graph.is_heard(wanted), "all nodes listening", _START_TIMEOUT)
-    if options.bag is not None:
-        sampled = [name for name in ("daq/samples", "truth/samples") if name in graph.state.listeners]
-        recorded = [name for name in sampled if matching_topics([f"/{name}"], _recorded(options))]
-        graph.wait_for(lambda: graph.is_recorded(recorded), "the recorder's knowledge of the samples", _START_TIMEOUT)
+    sampled = _sampled(options, graph)
+    graph.wait_for(lambda: graph.is_recorded(sampled), "the recorder's knowledge of the samples", _START_TIMEOUT)
     graph.transition(Transition.TRANSITION_ACTIVATE, _START_TIMEOUT)
     graph.wait_for(lambda: graph.sampled_time() > 0.0, "the first block of samples", _START_TIMEOUT)
+
+
+def _sampled(options: SessionOptions, graph: LiveGraph) -> list[str]:
+    """Topics of samples that the rig publishes and this session records."""
+    if options.bag is None:
+        return []
+    sampled = [name for name in ("daq/samples", "truth/samples") if name in graph.state.listeners]
+    return [name for name in sampled if matching_topics([f"/{name}"], _recorded(options))]
 
 
 def _wanted_listeners(options: SessionOptions, nodes: int) -> dict[str, int]:

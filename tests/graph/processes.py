@@ -136,13 +136,14 @@ PATIENT = {
     "disorder": 1000,
     "lost_share": 1.0,
 }
+PATIENT_RATE = 12_800
 PATIENT_RIG = {"heartbeat_timeout": 60.0, "watchdog_timeout": 60.0}
 
 
 def patient_config(folder):
-    """Parameter file of the package, with both of them patient."""
+    """Parameter file of the package, both of them patient, at a rate that a busy machine follows too."""
     values = yaml.safe_load((config_directory() / "rig.yaml").read_text(encoding="utf-8"))
-    for node, more in (("rig", PATIENT_RIG), ("supervisor", PATIENT)):
+    for node, more in (("rig", PATIENT_RIG | {"sample_rate": PATIENT_RATE}), ("supervisor", PATIENT)):
         values[f"/**/{node}"]["ros__parameters"] |= more
     file = folder / "patient.yaml"
     file.write_text(yaml.safe_dump(values), encoding="utf-8")

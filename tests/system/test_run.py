@@ -4,17 +4,19 @@ import signal
 import time
 
 import numpy as np
+import psutil
 import pytest
 from rosbags.highlevel import AnyReader
 
 from squeal_rig.configuration.files import config_directory
 from squeal_rig.recording import Bag, decoder_of, samples_from_cdr
-from tests.graph.processes import patient_config
+from tests.graph.processes import PATIENT_RATE, patient_config
 
 pytest.importorskip("rclpy")
 
 # Starting six nodes takes some seconds; compiling the model for the first time far longer.
 _PATIENCE = 200.0
+_STALL = 1.5
 _PLAN = """\
 title: quiet, squeal, reset, impact
 steps:
@@ -70,11 +72,13 @@ def test_a_plan_runs_to_its_end_and_leaves_a_whole_bag(planned):
     child, bag = planned
     assert child.errors == ""
     daq = _read(bag)["/daq/samples"]
-    assert len(daq) >= 2.4 * 51200
+    assert len(daq) >= 2.4 * PATIENT_RATE
     assert daq["preload"][0] == 50.0
     assert daq["preload"][-1] == 300.0
     # 250 N at 500 N/s: half a second of slew between both.
-    assert np.count_nonzero((daq["preload"] > 50.0) & (daq["preload"] < 300.0)) == pytest.approx(0.5 * 51200, abs=512)
+    assert np.count_nonzero((daq["preload"] > 50.0) & (daq["preload"] < 300.0)) == pytest.approx(
+        0.5 * PATIENT_RATE, abs=128
+    )
 
 
 def test_the_steps_and_the_live_state_are_shown(planned):
@@ -146,6 +150,27 @@ def test_ctrl_c_ends_a_run_cleanly_with_a_valid_bag(processes, tmp_path, signals
     assert [(what, facts["outcome"]) for _, what, facts in _events(tmp_path / "bag")[-1:]] == [
         ("run ended", "ended by the operator")
     ]
+
+
+@pytest.mark.slow
+def test_a_recorder_that_stands_still_as_a_run_is_ended_gets_the_last_samples(processes, tmp_path):
+    child = processes.command(
+        "run",
+        *("--config", patient_config(tmp_path), "--duration", "60", "--bag", tmp_path / "bag"),
+        cwd=tmp_path,
+    )
+    _wait_for_word(child, "F = 50 N")
+    (recorder,) = [p for p in psutil.Process(child.process.pid).children() if "recorder" in p.cmdline()]
+    recorder.suspend()
+    begin = time.monotonic()
+    child.send(signal.SIGINT)
+    while time.monotonic() - begin < _STALL:  # the rig would have ended long ago
+        time.sleep(0.05)
+    recorder.resume()
+    assert child.wait() == 0, child.errors
+    samples = _read(tmp_path / "bag")
+    ((_, _, ended),) = [event for event in _events(tmp_path / "bag") if event[1] == "run ended"]
+    assert len(samples["/daq/samples"]) == len(samples["/truth/samples"]) >= int(ended["next sample"]) > 0
 
 
 @pytest.mark.slow
