@@ -119,7 +119,7 @@ def run_session(options: SessionOptions, console: Console, watch: SignalWatch) -
     log_directory = Path(tempfile.mkdtemp(prefix="squeal_rig_"))
     nodes: list[NodeProcess] = []
     spared: set[str] = set()
-    started = False
+    recorded: list[str] | None = None  # topics of samples, once the run has begun
 
     def watched() -> None:
         watch.check()
@@ -136,8 +136,7 @@ def run_session(options: SessionOptions, console: Console, watch: SignalWatch) -
     graph = LiveGraph(watched)
     try:
         graph.refuse_other_rig()
-        _start(options, nodes, log_directory, graph)
-        started = True
+        recorded = _start(options, nodes, log_directory, graph)
         spared.add(PAGE)  # the rig and its recorder do not need it
         with StateDisplay(console, graph.state) as display:
             _follow(options, graph, display)
@@ -146,8 +145,8 @@ def run_session(options: SessionOptions, console: Console, watch: SignalWatch) -
     finally:
         # The rig first, so that everybody else still takes its last block; the recorder last.
         running, nodes = list(nodes), []
-        if started:  # not before: the rig of that name may be somebody else's
-            graph.hand_over(_sampled(options, graph))
+        if recorded is not None:  # not before: the rig of that name may be somebody else's
+            graph.hand_over(recorded)
         for names in (RIGS, (*CONSUMERS, SUPERVISOR, PAGE), ("recorder",)):
             chosen = [n for n in running if n.name in names]
             result.exit_codes |= stop_all(chosen, options.bag if "recorder" in names else None)
@@ -158,8 +157,11 @@ def run_session(options: SessionOptions, console: Console, watch: SignalWatch) -
     return result
 
 
-def _start(options: SessionOptions, nodes: list[NodeProcess], logs: Path, graph: LiveGraph) -> None:
-    """Start every node; the rig begins to sample once everybody listens, so that no first block is lost."""
+def _start(options: SessionOptions, nodes: list[NodeProcess], logs: Path, graph: LiveGraph) -> list[str]:
+    """Start every node; the rig begins to sample once everybody listens, so that no first block is lost.
+
+    Returns the topics of samples that are recorded.
+    """
     files = ["--params-file", str(options.config)]
     # What does not run in real time is no machine, and nobody follows it in time to stop it.
     supervised = not _has_own_clock(options.config)
@@ -185,10 +187,11 @@ def _start(options: SessionOptions, nodes: list[NodeProcess], logs: Path, graph:
         nodes.append(NodeProcess("recorder", logs, [*files, "-p", f"directory:={options.bag}"]))
     wanted = _wanted_listeners(options, len(nodes))
     graph.wait_for(lambda: graph.is_heard(wanted), "all nodes listening", _START_TIMEOUT)
-    sampled = _sampled(options, graph)
-    graph.wait_for(lambda: graph.is_recorded(sampled), "the recorder's knowledge of the samples", _START_TIMEOUT)
+    recorded = _sampled(options, graph)
+    graph.wait_for(lambda: graph.is_recorded(recorded), "the recorder's knowledge of the samples", _START_TIMEOUT)
     graph.transition(Transition.TRANSITION_ACTIVATE, _START_TIMEOUT)
     graph.wait_for(lambda: graph.sampled_time() > 0.0, "the first block of samples", _START_TIMEOUT)
+    return recorded
 
 
 def _sampled(options: SessionOptions, graph: LiveGraph) -> list[str]:
