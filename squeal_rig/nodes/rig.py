@@ -263,10 +263,12 @@ class RigNode(LifecycleNode):
             return
         # Nothing is behind or skipped where the device keeps the time: it says itself what it lost.
         own = self._can.keeps_time
-        count, overrun = (_MOST_AT_ONCE, False) if own else self._pacer.due(time.monotonic())
+        now, stamp = time.monotonic(), self.get_clock().now().nanoseconds  # of one moment: nothing in between
+        count, overrun = (_MOST_AT_ONCE, False) if own else self._pacer.due(now)
         if overrun:
+            # The block due now began a period ago; stamped later, the next reset would turn the samples' time back.
+            acquisition.start(self._outputs.restart_stamp(stamp - round(1e9 * self._pacer.period)))
             self.get_logger().warning("fell behind real time: time skipped, t0 set anew")
-            acquisition.start(self._outputs.restart_stamp(self.get_clock().now().nanoseconds))
         try:
             begun = time.monotonic()
             for made in range(1, count + 1):

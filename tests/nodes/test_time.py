@@ -1,6 +1,7 @@
 """Stamps, sample numbers, pacing and `/clock`."""
 
 import itertools
+import signal
 import time
 
 import numpy as np
@@ -114,6 +115,25 @@ def test_a_node_samples_by_itself_once_started(compiled, processes, observer, me
     seconds = time.monotonic() - begin
     measured(f"start of the simulator to its first block: {seconds:.2f} s (asked for: 2 s on a machine at rest)")
     assert node.end()[0] == 0
+
+
+def test_after_an_overrun_no_reset_turns_the_time_back(processes, observer):
+    rig = processes.node("simulator", *parameters(sample_rate=12800))
+    blocks, health = observer.follow_samples("daq/samples", depth=2000), observer.follow("/diagnostics")
+    observer.wait_for(lambda: blocks, "samples")
+    for number in range(6):
+        rig.send(signal.SIGSTOP)
+        time.sleep(0.6)
+        rig.send(signal.SIGCONT)
+        seen = len(blocks)
+        observer.wait_for(lambda seen=seen: len(blocks) > seen + 5, "samples after the overrun")
+        assert observer.trigger("reset")[0], number
+        seen = len(blocks)
+        observer.wait_for(lambda seen=seen: len(blocks) > seen + 5, "samples after the reset")
+    observer.wait_for(lambda: int(health_of(health, "rig")[2]["overruns"]) >= 6, "six overruns")
+    assert rig.end()[0] == 0
+    stamps = np.array([block.stamp_ns for block in blocks])
+    assert np.diff(stamps).min() >= _BLOCK_NS - 1_000_000
 
 
 def test_a_rig_that_is_asked_to_follow_a_clock_keeps_the_systems_time_and_says_so(compiled, processes, observer):
