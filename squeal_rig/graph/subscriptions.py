@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -29,6 +29,16 @@ class _Topic:
     request: QoSProfile
     subscription: Any = field(init=False)
     publishers: int = 0  # that the subscription has found
+
+
+def waiting(subscription: Any) -> Iterator[tuple[bytes, Any]]:
+    """Take from a raw subscription what has arrived, message by message: the bytes, and what the middleware says."""
+    while True:
+        with subscription.handle:
+            taken = subscription.handle.take_message(subscription.msg_type, True)
+        if taken is None:
+            return
+        yield taken
 
 
 class TopicSubscriptions:
@@ -96,6 +106,8 @@ class TopicSubscriptions:
             return
         if request.reliability > now.reliability or request.durability > now.durability:  # a larger number is weaker
             self._node.get_logger().info(f"{topic}: asking for less, since a new publisher offers less")
+            for data, info in waiting(known.subscription):  # it would go with the subscription
+                known.taken(data, info)
             self._node.destroy_subscription(known.subscription)
             known.request, known.publishers = request, 0
             self._subscribe(topic, known)

@@ -19,7 +19,7 @@ from squeal_rig.graph.health import HEARD, LAST_TAKEN, Health, HealthPublisher
 from squeal_rig.graph.lifetime import STEADY, Lifetime, run_node
 from squeal_rig.graph.parameter_watch import ParameterWatch, Values
 from squeal_rig.graph.parameters import NODE_OPTIONS, DeclaredParameters
-from squeal_rig.graph.subscriptions import Taken, TopicSubscriptions
+from squeal_rig.graph.subscriptions import Taken, TopicSubscriptions, waiting
 from squeal_rig.recording import QosProfile
 from squeal_rig.recording.gaps import CLOUD_TYPE
 from squeal_rig.recording.session import RecordingSession, SessionTopic
@@ -119,14 +119,12 @@ class RecorderNode(Node):
     def _drain(self) -> None:
         """Take what has arrived by now: after a slow disk that may be seconds, which would be lost with the node."""
         until = self._now()
-        for subscription in self.subscriptions:
-            while subscription.raw and self._session.recording:
-                with subscription.handle:
-                    taken = subscription.handle.take_message(subscription.msg_type, True)
-                if taken is None:
-                    break
-                subscription.callback(*taken)
-                if (taken[1]["received_timestamp"] or 0) > until:
+        for subscription in [found for found in self.subscriptions if found.raw]:
+            if not self._session.recording:
+                return
+            for data, info in waiting(subscription):
+                subscription.callback(data, info)
+                if not self._session.recording or (info["received_timestamp"] or 0) > until:
                     break
 
     # --- services
