@@ -19,7 +19,7 @@ help:
 	@echo "make demo       run the rig from quiet sliding into squeal; leaves a bag and a picture in bags/"
 	@echo "make reproduce  the paper's figures and tables beside its numbers; leaves reproduction/"
 	@echo "make test       run the tests (ARGS: options for pytest)"
-	@echo "make test-slow  what starts and ends processes many times: signals, sessions that are gone, rigs of one name"
+	@echo "make test-slow  what starts and ends processes many times: signals, sessions that are gone, rigs of one name; long fits"
 	@echo "make test-long  half an hour of stable running without an alarm, 400 fits whose intervals must hold, 700 hits and zones by"
 	@echo "                force, a live campaign that is killed"
 	@echo "make test-docs  every tutorial from start to end, and the Python of every page"
@@ -49,7 +49,7 @@ reproduce: .venv/.ready
 	.venv/bin/squeal-rig reproduce $(ARGS)
 
 # What computes, then what starts ROS graphs: five processes and more each, in domains of their own. The browser comes last
-# and alone: a graph of its own beside it is all that two cores carry. Where there is none, the page's pictures are left.
+# and alone: a graph of its own beside it is all that two cores carry. Without one, its tests are left out.
 GRAPHS := tests/nodes tests/system tests/bags tests/faults tests/page/test_foxglove.py
 PAGE := tests/page/test_in_browser.py tests/page/test_picture.py
 TWO := -n 2 --dist loadfile

@@ -21,8 +21,9 @@ LISTENERS = "listeners to "
 
 #: Key of the recorder's health value: the topics of whose publishers it knows.
 HEARD = "heard"
-#: Key of the recorder's health value, before a topic of blocks: its publisher's number of the last one taken, from 1.
-LAST_TAKEN = "last taken of "
+#: Keys of health values, before a topic of blocks: the publisher's number, from 1, of the last one that the rig has
+#: published, and that the recorder has taken.
+LAST_PUBLISHED, LAST_TAKEN = "last published of ", "last taken of "
 
 
 def listeners(publishers: Mapping[str, Any]) -> dict[str, int]:

@@ -15,7 +15,7 @@ from std_srvs.srv import SetBool, Trigger
 from squeal_rig.errors import SquealRigError
 from squeal_rig.graph import qos
 from squeal_rig.graph.conversions import cloud, joint_state, time_message, wrench
-from squeal_rig.graph.health import listeners
+from squeal_rig.graph.health import LAST_PUBLISHED, listeners
 from squeal_rig.instruments.acquisition import Block
 from squeal_rig.instruments.description import RigDescription
 from squeal_rig.instruments.means import block_means
@@ -40,6 +40,7 @@ class RigOutputs:
         self._node, make = node, node.create_publisher
         names = ("daq/samples", "truth/samples") if publishes_truth else ("daq/samples",)
         self._samples = {name: make(PointCloud2, name, qos.BLOCKS) for name in names}
+        self._published = dict.fromkeys(names, 0)  # blocks of each publisher
         self._state = make(JointState, "pad/state", qos.BLOCKS)
         self._wrench = make(WrenchStamped, "contact/wrench", qos.BLOCKS)
         self._description = make(String, "rig/description", qos.LATCHED)
@@ -55,6 +56,7 @@ class RigOutputs:
         for name, samples in (("daq/samples", block.daq), ("truth/samples", block.truth)):
             if samples is not None and name in self._samples:
                 self._samples[name].publish(cloud(samples, block.stamp))
+                self._published[name] += 1
         means = block_means(block, p, drum_radius)
         self._state.publish(joint_state(block.stamp, means.position, means.velocity))
         self._wrench.publish(wrench(block.stamp, means.tangential, means.normal))
@@ -67,10 +69,15 @@ class RigOutputs:
         for name, publisher in self._samples.items():
             self._node.destroy_publisher(publisher)
             self._samples[name] = self._node.create_publisher(PointCloud2, name, qos.BLOCKS)
+            self._published[name] = 0
 
     def listeners(self) -> dict[str, int]:
         """Health values: subscribers to the samples."""
         return listeners(self._samples)
+
+    def published(self) -> dict[str, int]:
+        """Health values: number of the last block, as its publisher counts."""
+        return {LAST_PUBLISHED + name: number for name, number in self._published.items()}
 
     def describe(self, description: RigDescription) -> None:
         """Publish the description, latched."""

@@ -263,7 +263,7 @@ class RigNode(LifecycleNode):
             return
         # Nothing is behind or skipped where the device keeps the time: it says itself what it lost.
         own = self._can.keeps_time
-        now, stamp = time.monotonic(), self.get_clock().now().nanoseconds  # of one moment: nothing in between
+        stamp, now = self.get_clock().now().nanoseconds, time.monotonic()  # whoever is held up in between is not ahead
         count, overrun = (_MOST_AT_ONCE, False) if own else self._pacer.due(now)
         if overrun:
             # The block due now began a period ago; stamped later, the next reset would turn the samples' time back.
@@ -436,6 +436,7 @@ class RigNode(LifecycleNode):
             "not measured": ", ".join(sorted(self._can.not_measured)),
             "tared": bool(acquisition is not None and acquisition.tare),
             **self._outputs.listeners(),
+            **self._outputs.published(),
             **self._stop.watchdog_health(),
         }
         warnings, self._warnings = self._warnings, ()  # those of the last second

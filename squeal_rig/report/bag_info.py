@@ -75,18 +75,25 @@ def _facts(bag: Bag) -> Table:
 
 def _trips(bag: Bag) -> list[str]:
     """What the supervisor took the rig out of operation for, and when: a bag's end says that of the recording only."""
-    told = []
+    told: list[str] = []
+    more = 0
     try:
         for name in [topic for topic in bag.topics if f"/{topic}".endswith(f"/{_TRIPS}")]:
             decode = decoder_of(bag.topics[name].schema)
             for message in bag.messages([name]):
+                seconds = (message.publish_time - bag.start_time) * 1e-9
+                if seconds < 0.0:  # latched: a recorder that comes later gets those of before, too
+                    continue
                 for _, (_, sentence, values) in statuses(decode(message.data)):
-                    if values.get("raised the level") == "true" and values.get("level") in _TRIP_LEVELS:
-                        seconds = (message.log_time - bag.start_time) * 1e-9
+                    if values.get("raised the level") != "true" or values.get("level") not in _TRIP_LEVELS:
+                        continue
+                    if len(told) < _MOST_TRIPS:
                         told.append(f"{values['level']} at {seconds:.1f} s: {sentence}")
+                    else:
+                        more += 1
     except RecordingError as error:
         told.append(f"its trips cannot be read: {error}")
-    return told[:_MOST_TRIPS] + ([f"{len(told) - _MOST_TRIPS} more"] if len(told) > _MOST_TRIPS else [])
+    return [*told, f"{more} more"] if more else told
 
 
 def _moment(time: int) -> str:

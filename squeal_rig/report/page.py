@@ -29,12 +29,16 @@ figure { margin: 1.5rem 0; } img { max-width: 100%; } figcaption { font-size: 14
 
 @dataclass(frozen=True)
 class DataTable:
-    """A table: file stem, caption, column names with units, rows. The CSV has all digits."""
+    """A table: file stem, caption, column names with units, rows; `heads` stand on the page in place of the names.
+
+    The CSV has all digits.
+    """
 
     name: str
     caption: str
     columns: Sequence[str]
     rows: Sequence[Sequence[Any]]
+    heads: Sequence[str] | None = None
 
     def write_csv(self, path: Path) -> None:
         """Write the table with all digits."""
@@ -105,7 +109,7 @@ def write_page(title: str, lead: Sequence[str], sections: Sequence[Section], pat
 def _table(table: DataTable) -> str:
     head = "".join(
         f"<th class='{'text' if _holds_text(table, i) else ''}'>{html.escape(column)}</th>"
-        for i, column in enumerate(table.columns)
+        for i, column in enumerate(table.heads or table.columns)
     )
     rows = "".join("<tr>" + "".join(_cell(value) for value in row) + "</tr>" for row in table.rows)
     return f"<table><caption>{html.escape(table.caption)}</caption><tr>{head}</tr>{rows}</table>"

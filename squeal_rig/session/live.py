@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -26,7 +26,7 @@ from squeal_rig.estimation.stability_follower import DESCRIPTION_KEY, IN_FORCE, 
 from squeal_rig.experiments.engine import RunEvent
 from squeal_rig.graph import qos
 from squeal_rig.graph.conversions import ERROR, OK, diagnostics, status, status_number, status_values
-from squeal_rig.graph.health import HEARD, LAST_TAKEN, LISTENERS
+from squeal_rig.graph.health import HEARD, LAST_PUBLISHED, LAST_TAKEN, LISTENERS
 from squeal_rig.graph.lifetime import GuardedExecutor
 from squeal_rig.graph.names import Claim, is_running
 from squeal_rig.instruments.acquisition import NOT_MOVABLE
@@ -35,6 +35,7 @@ from squeal_rig.instruments.description import RigDescription
 from squeal_rig.instruments.driver import Samples
 from squeal_rig.instruments.numbering import SEQ_MODULUS
 from squeal_rig.recording.gaps import samples_missing
+from squeal_rig.safety.supervisor import ENDED, INACTIVE, STATE_KEY
 
 # Discovery of a service took up to 2.3 s where it was measured.
 _SERVICE_TIMEOUT = 10.0
@@ -78,7 +79,10 @@ class LiveState:
     trip: str = ""
     listeners: dict[str, int] = field(default_factory=dict)  # as the publishers of the topics count them
     recorded: frozenset[str] = frozenset()  # topics whose publishers the recorder knows
-    taken: dict[str, int] = field(default_factory=dict)  # number of the last block that the recorder has of a topic
+    rig_state: str = ""
+    # Number of the last block of a topic, as its publisher counts: that the rig has published, that the recorder has.
+    published: dict[str, int] = field(default_factory=dict)
+    taken: dict[str, int] = field(default_factory=dict)
     health: dict[str, tuple[int, str]] = field(default_factory=dict)
 
 
@@ -95,7 +99,7 @@ class LiveGraph:
         self._executor = GuardedExecutor()
         self._executor.add_node(self._node)
         self._watched = watched
-        self._samples = self._blocks = 0
+        self._samples = 0
         self._interval = math.nan
         self._next_seq: int | None = None
         self._description = ""
@@ -125,20 +129,26 @@ class LiveGraph:
         self._node.destroy_node()
         rclpy.try_shutdown()
 
-    def hand_over(self, recorded: Iterable[str]) -> None:
+    def hand_over(self, recorded: Sequence[str], present: Callable[[], bool]) -> None:
         """Have the rig give no more samples and the recorder take its blocks on topics `recorded`, within some seconds.
 
-        What a process that stands still has not received goes with the publisher that ends.
+        What a process that stands still has not received goes with the publisher that ends. `present` tells whether
+        rig and recorder are still there.
         """
-        deadline = time.monotonic() + _HAND_OVER
+        state = self.state
+        state.rig_state = ""
         if self._change_state.service_is_ready():
-            request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_DEACTIVATE))
-            answer = self._change_state.call_async(request)
-            while not answer.done() and time.monotonic() < deadline:
-                self._executor.spin_for(_SPIN)
-        topics = [self._node.resolve_topic_name(name) for name in recorded]
-        while any(self.state.taken.get(t, 0) < self._blocks for t in topics) and time.monotonic() < deadline:
+            self._change_state.call_async(
+                ChangeState.Request(transition=Transition(id=Transition.TRANSITION_DEACTIVATE))
+            )
+        deadline = time.monotonic() + _HAND_OVER
+        while time.monotonic() < deadline and present():
             self._executor.spin_for(_SPIN)
+            if state.rig_state in (INACTIVE, ENDED) and all(
+                state.taken.get(self._node.resolve_topic_name(name), 0) >= state.published.get(name, 0)
+                for name in recorded
+            ):
+                return
 
     def spin(self, seconds: float = _SPIN) -> None:
         """Take what comes for that long [s]."""
@@ -309,7 +319,6 @@ class LiveGraph:
         first = int(daq["seq"][0])
         missing = 0 if self._next_seq is None else samples_missing(self._next_seq, first)
         self._samples += len(daq) + (missing or 0)
-        self._blocks += 1 + (missing or 0) // max(1, len(daq))
         self._next_seq = first + len(daq)
         self.on_samples(daq)
         if len(daq) > 1:
@@ -368,7 +377,13 @@ class LiveGraph:
             if found.name.split("/")[-1] == "recorder":
                 self.state.recorded_bytes = status_number(found, "bytes")
                 self.state.recorded = frozenset(status_values(found).get(HEARD, "").split(", "))
-            for prefix, numbers in ((LISTENERS, self.state.listeners), (LAST_TAKEN, self.state.taken)):
+            if found.name.split("/")[-1] == "rig":
+                self.state.rig_state = status_values(found).get(STATE_KEY, "")
+            for prefix, numbers in (
+                (LISTENERS, self.state.listeners),
+                (LAST_PUBLISHED, self.state.published),
+                (LAST_TAKEN, self.state.taken),
+            ):
                 numbers |= {
                     key.removeprefix(prefix): int(value)
                     for key, value in status_values(found).items()

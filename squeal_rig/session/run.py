@@ -119,7 +119,7 @@ def run_session(options: SessionOptions, console: Console, watch: SignalWatch) -
     log_directory = Path(tempfile.mkdtemp(prefix="squeal_rig_"))
     nodes: list[NodeProcess] = []
     spared: set[str] = set()
-    recorded: list[str] | None = None  # topics of samples, once the run has begun
+    recorded: list[str] = []  # topics of samples, once the run has begun: until then the rig may be somebody else's
 
     def watched() -> None:
         watch.check()
@@ -145,8 +145,9 @@ def run_session(options: SessionOptions, console: Console, watch: SignalWatch) -
     finally:
         # The rig first, so that everybody else still takes its last block; the recorder last.
         running, nodes = list(nodes), []
-        if recorded is not None:  # not before: the rig of that name may be somebody else's
-            graph.hand_over(recorded)
+        if recorded:
+            holders = [node for node in running if node.name in (*RIGS, "recorder")]
+            graph.hand_over(recorded, lambda: all(node.wait(0.0) is None for node in holders))
         for names in (RIGS, (*CONSUMERS, SUPERVISOR, PAGE), ("recorder",)):
             chosen = [n for n in running if n.name in names]
             result.exit_codes |= stop_all(chosen, options.bag if "recorder" in names else None)

@@ -27,7 +27,7 @@ def bag_of_trips(directory, trips):
             time = round((1.0 + seconds) * 1e9)
             values = {"rule": "force", "level": level, "raised the level": raised}
             data = diagnostics_message(time, "rig", [(2, "supervisor trip", sentence, values)])
-            writer.write(topic, data, time, time)
+            writer.write(topic, data, max(time, 10**9), time)
     return directory
 
 
@@ -51,6 +51,11 @@ def test_a_run_without_trips_says_nothing_of_the_supervisor(tmp_path):
     text = told(bag_of_trips(tmp_path / "run", [(0.5, "warn", "true", "a force is high")]))
     assert "complete" in text
     assert "supervisor  " not in text
+
+
+def test_trips_of_a_run_before_are_not_those_of_this_bag(tmp_path):
+    text = told(bag_of_trips(tmp_path / "run", [(-0.5, "emergency stop", "true", "in the morning")]))
+    assert "in the morning" not in text
 
 
 def test_many_trips_are_counted(tmp_path):

@@ -81,6 +81,39 @@ def test_a_run_begins_once_the_recorder_knows_who_publishes_the_samples(graph):
     assert graph.is_recorded(wanted)
 
 
+def test_a_run_is_over_once_the_recorder_has_the_rigs_last_block(graph):
+    from squeal_rig.graph.conversions import OK, diagnostics, status
+    from squeal_rig.graph.health import LAST_PUBLISHED, LAST_TAKEN
+    from squeal_rig.safety.supervisor import INACTIVE, RUNNING, STATE_KEY
+
+    def told(node, values):
+        graph._on_health(diagnostics(0, status(OK, node, "", values)))
+
+    def handed_over():
+        """Whether it is not waited any more; `present` is asked between two looks."""
+        looks = iter((True, True, False))
+        ended = []
+
+        def present():
+            ended.append(next(looks))
+            return ended[-1]
+
+        graph.hand_over(["daq/samples"], present)
+        return ended[-1]
+
+    last = {LAST_PUBLISHED + "daq/samples": 7}
+    told("recorder", {LAST_TAKEN + "/daq/samples": 9})
+    assert not handed_over()  # nothing of the rig yet
+    graph._executor.spin_for = lambda _: told("rig", {STATE_KEY: RUNNING, **last})
+    assert not handed_over()
+    graph._executor.spin_for = lambda _: told("rig", {STATE_KEY: INACTIVE, **last})
+    assert handed_over()
+    told("recorder", {LAST_TAKEN + "/daq/samples": 6})
+    assert not handed_over()
+    told("recorder", {LAST_TAKEN + "/daq/samples": 7})
+    assert handed_over()
+
+
 def test_the_recorder_is_waited_for_on_what_it_records_of_the_estimator(tmp_path):
     from squeal_rig.session.run import SessionOptions, _wanted_listeners
 

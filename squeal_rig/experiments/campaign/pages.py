@@ -317,9 +317,8 @@ def _table(name: str, caption: str, table: Table, most: int | None = None) -> Da
     if most is not None and count > most:
         caption += f" (the first {most} of {count}; all of them in {name}_all.csv)"
     rows = [[_plain(table[column][i]) for column in columns] for i in range(min(count, most or count))]
-    # What is read by people has units; the files of all rows have the names of the columns as they are kept.
-    shown = columns if most is None else [column + unit_of(column) for column in columns]
-    return DataTable(name, caption, shown, rows)
+    # The files have the names of the columns as they are kept.
+    return DataTable(name, caption, columns, rows, [column + unit_of(column) for column in columns])
 
 
 def _some(table: Table, names: tuple[str, ...]) -> Table:
