@@ -37,7 +37,7 @@ from tests.graph.processes import Child, Processes, parameters
 from tests.page.browser import Shown, launched
 
 PATIENCE = 600.0
-RATE, SOUND_RATE = 51_200, 48_000
+RATE, SOUND_RATE = 51_200, 48_000  # of the rig at full load, of the sound
 NODES = ("friction_estimator", "stability", "squeal_detector", "view")
 #: After the start, until everything is compiled and the map is drawn [s].
 SETTLING = 20.0
@@ -111,12 +111,12 @@ def _heap(shown: Shown) -> float:
     return float(session.send("Runtime.getHeapUsage")["usedSize"]) / 1e6
 
 
-def compared(heard: Heard, bag: Path) -> tuple[int, int, int]:
+def compared(heard: Heard, bag: Path, rate: int) -> tuple[int, int, int]:
     """Samples of sound received, how many of them equal the bag's resampled offline, and streams (1: no gap)."""
     blocks = (samples_from_cdr(m.data).samples for m in Bag(bag).messages(["/daq/samples"]))
     columns = [(block["seq"].copy(), block["x"].copy()) for block in blocks]  # the other columns of an hour are 15 GB
     seq, x = (np.concatenate(column) for column in zip(*columns, strict=True))
-    design = Resampler(RATE, SOUND_RATE)
+    design = Resampler(rate, SOUND_RATE)
     received = equal = 0
     origins = sorted({piece[0] for piece in heard.pieces})
     for origin in origins:
@@ -125,7 +125,7 @@ def compared(heard: Heard, bag: Path) -> tuple[int, int, int]:
         sound, first = np.concatenate([piece[2] for piece in mine]), mine[0][1]
         at = int(np.flatnonzero(seq == origin)[0])
         # What the last outputs need, and no more.
-        count = min(len(x) - at, (first + len(sound)) * design.down // design.up + RATE)
+        count = min(len(x) - at, (first + len(sound)) * design.down // design.up + rate)
         assert (np.diff(seq[at : at + count].astype(np.int64)) == 1).all(), "samples are missing in the bag"
         offline = resample_poly(1e6 * x[at : at + count], design.up, design.down).astype(np.float32)
         received += len(sound)
@@ -143,7 +143,7 @@ def lost_samples(bag: Path) -> tuple[int, int]:
     return blocks, lost
 
 
-def measured(minutes: float, pictures: Path | None = None) -> str:
+def measured(minutes: float, pictures: Path | None = None, rate: int = RATE) -> str:
     """Run everything that long; the text of docs/benchmarks.md. `pictures`: a folder for a picture of the page."""
     loads = [os.getloadavg()[0]]
     with private_domain() as domain, tempfile.TemporaryDirectory(prefix="squeal_rig_page_") as name:
@@ -151,14 +151,20 @@ def measured(minutes: float, pictures: Path | None = None) -> str:
         (folder / "logs").mkdir()
         processes, observer = Processes(domain, folder / "logs"), Observer(domain)
         try:
-            return _measured(processes, observer, folder / "bag", minutes, pictures, loads)
+            return _measured(processes, observer, folder / "bag", minutes, pictures, loads, rate)
         finally:
             processes.end_all()
             observer.close()
 
 
 def _measured(
-    processes: Processes, observer: Any, bag: Path, minutes: float, pictures: Path | None, loads: list[float]
+    processes: Processes,
+    observer: Any,
+    bag: Path,
+    minutes: float,
+    pictures: Path | None,
+    loads: list[float],
+    rate: int,
 ) -> str:
     files = ["--params-file", str(config_directory() / "rig.yaml")]
     nodes = {name: processes.node(name, *files) for name in NODES}
@@ -168,7 +174,7 @@ def _measured(
     observer.wait_for(lambda: "http://" in page.errors or not page.running, "the page's address", PATIENCE)
     url = re.search(r"http://\S+?(?=/)", page.errors)[0]  # type: ignore[index]
     nodes["recorder"] = processes.node("recorder", *files, *parameters(directory=str(bag)))
-    nodes["simulator"] = processes.node("simulator", *files, *parameters(supervisor_required=True))
+    nodes["simulator"] = processes.node("simulator", *files, *parameters(supervisor_required=True, sample_rate=rate))
     observer.wait_for(lambda: observer.state() == "active", "an active rig", PATIENCE)
     observer.set({"preload": 300.0, "k1": 6e7, "k2": 6e7, "mu0": 0.26}, atomically=True)
     heard = Heard()
@@ -207,12 +213,12 @@ def _measured(
     nodes["simulator"].end()
     nodes["recorder"].end()
     blocks, lost = lost_samples(bag)
-    received, equal, streams = compared(heard, bag)
+    received, equal, streams = compared(heard, bag, rate)
     assert not troubles, troubles
     table = "\n".join(f"| {name} | {100.0 * share:.0f}% |" for name, share in sorted(cores.items()))
     resident, script, load = (", ".join(f"{value:.1f}" for value in values) for values in (memory, heap, loads))
-    return f"""{minutes:g} min at 51.2 kHz, squealing, all nodes and the recorder; three clients: Chromium that draws,
-one that listens, one that takes pictures. Load of the machine (1 min average) before, in the middle, after:
+    return f"""{minutes:g} min at {rate / 1e3:g} kHz, squealing, all nodes and the recorder; three clients:
+Chromium that draws, one that listens, one that takes pictures. Load of the machine (1 min average) before, in the middle, after:
 {load} ({os.cpu_count()} cores).
 
 | process | share of a core |
@@ -232,8 +238,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minutes", type=float, default=60.0)
     parser.add_argument("--pictures", type=Path)
+    parser.add_argument("--rate", type=int, default=RATE, help="sample rate of the rig [Hz]")
     asked = parser.parse_args()
-    sys.stdout.write(measured(asked.minutes, asked.pictures))
+    sys.stdout.write(measured(asked.minutes, asked.pictures, asked.rate))
     return 0
 
 
