@@ -218,8 +218,8 @@ def _measured(
     table = "\n".join(f"| {name} | {100.0 * share:.0f}% |" for name, share in sorted(cores.items()))
     resident, script, load = (", ".join(f"{value:.1f}" for value in values) for values in (memory, heap, loads))
     return f"""{minutes:g} min at {rate / 1e3:g} kHz, squealing, all nodes and the recorder; three clients:
-Chromium that draws, one that listens, one that takes pictures. Load of the machine (1 min average) before, in the middle, after:
-{load} ({os.cpu_count()} cores).
+Chromium that draws, one that listens, one that takes pictures. Load of the machine (1 min average) before, in the
+middle, after: {load} ({os.cpu_count()} cores).
 
 | process | share of a core |
 |---|---|
