@@ -119,9 +119,7 @@ class RecorderNode(Node):
     def _drain(self) -> None:
         """Take what has arrived by now: after a slow disk that may be seconds, which would be lost with the node."""
         until = self._now()
-        for subscription in [found for found in self.subscriptions if found.raw]:
-            if not self._session.recording:
-                return
+        for subscription in (found for found in self.subscriptions if found.raw and self._session.recording):
             for data, info in waiting(subscription):
                 subscription.callback(data, info)
                 if not self._session.recording or (info["received_timestamp"] or 0) > until:
