@@ -46,9 +46,11 @@ def cut(
     facts |= {"cut_from": bag.path.name, "cut_start_s": f"{start!r}", "cut_end_s": "" if end is None else f"{end!r}"}
     with BagWriter(directory, custom_data=facts) as writer:
         handles = _handles(writer, bag, chosen)
-        for message in last_before(bag, [name for name in chosen if is_latched(bag.topics[name].qos)], first):
+        latched = [name for name in chosen if start > 0.0 and is_latched(bag.topics[name].qos)]
+        for message in last_before(bag, latched, first):
             writer.write(handles[message.topic], message.data, first, message.publish_time)
-        for message in bag.messages(chosen, first, last):
+        # From the beginning is all: a damaged file may hold messages from before what its index calls the first.
+        for message in bag.messages(chosen, first if start > 0.0 else None, last):
             writer.write(handles[message.topic], message.data, message.log_time, message.publish_time)
         _copy_records(writer, bag)
         if writer.message_count == 0:

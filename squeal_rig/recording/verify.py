@@ -14,7 +14,7 @@ from .findings import Verdict
 from .gaps import CLOUD_TYPE, SampleCount
 from .mcap_index import FileIndex, index_file
 from .messages import Decode, decoder_of
-from .reader import Bag, find_files
+from .reader import Bag, find_files, missing_files
 from .records import MAGIC, FileBytes
 from .schemas import MessageSchema, installed_schema
 from .sealed import is_intact
@@ -193,6 +193,8 @@ def _check_metadata(path: Path, indexes: list[FileIndex], topics: dict[str, _Top
             return
         if metadata is None:
             verdict.warn("metadata.yaml", "is missing: rosbag2 wants `ros2 bag reindex` first")
+            for name in missing_files(path):
+                verdict.error(name, "is not there, by the numbers of the other files")
         else:
             for fault in _disagreements(metadata, indexes, topics):
                 verdict.error("metadata.yaml", fault)

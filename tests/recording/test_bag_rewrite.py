@@ -2,11 +2,13 @@
 
 import pytest
 from bag_making import START, messages_of, write_bag
+from mcap.writer import CompressionType, Writer
 
 from squeal_rig.errors import RecordingError
 from squeal_rig.recording import Bag
 from squeal_rig.recording.rewrite import cut, merge
 from squeal_rig.recording.verify import verify
+from tests.messages import schema_of, string_cdr
 
 
 @pytest.fixture(scope="module")
@@ -28,6 +30,27 @@ def test_a_cut_holds_its_time_and_the_latched_values_from_before(bag, tmp_path):
     assert piece.custom_data["seed"] == "7"
     assert piece.ending == "cut from a bag that ended: complete"
     assert verify(tmp_path / "piece").sound
+
+
+def test_a_cut_from_the_beginning_has_what_is_older_than_the_index_says(tmp_path):
+    """A file of others without checksums, in which a bit of a time has fallen over."""
+    text = schema_of("std_msgs/msg/String")
+    file = tmp_path / "odd.mcap"
+    with file.open("wb") as stream:
+        writer = Writer(stream, compression=CompressionType.NONE, enable_crcs=False)
+        writer.start("ros2")
+        schema = writer.register_schema(text.type_name, text.encoding, text.text.encode())
+        channel = writer.register_channel("/words", "cdr", schema)
+        for number in range(3):
+            writer.add_message(channel, START + number, string_cdr(str(number)), START + number)
+        writer.finish()
+    first, older = (time.to_bytes(8, "little") for time in (START, START - 10**9))
+    of_chunk, behind = file.read_bytes().split(first, 1)
+    file.write_bytes(of_chunk + first + behind.replace(first, older, 1))  # the message's, not the chunk's own
+    there = messages_of(Bag(file))
+    assert [m.log_time for m in there] == [START - 10**9, START + 1, START + 2]
+    cut(file, tmp_path / "piece")
+    assert messages_of(Bag(tmp_path / "piece")) == there
 
 
 def test_a_cut_by_topic_leaves_the_others_out(bag, tmp_path):

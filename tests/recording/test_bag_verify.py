@@ -111,6 +111,16 @@ def test_a_missing_file_of_a_split_bag_is_an_error(tmp_path):
     assert any("run_1.mcap" in sentence for sentence in errors(tmp_path / "run"))
 
 
+@pytest.mark.parametrize("lost", [0, 1])
+def test_a_missing_file_is_seen_by_the_numbers_of_the_others_where_metadata_yaml_is_gone_too(tmp_path, lost):
+    write_bag(tmp_path / "run", max_file_size=100_000)
+    (tmp_path / "run" / f"run_{lost}.mcap").unlink()
+    (tmp_path / "run" / "metadata.yaml").unlink()
+    verdict = verify(tmp_path / "run")
+    assert not verdict.sound
+    assert [finding.where for finding in verdict.findings if "not there" in finding.sentence] == [f"run_{lost}.mcap"]
+
+
 def test_messages_that_do_not_fit_their_definition_are_named(tmp_path):
     text = schema_of("std_msgs/msg/String")
     with BagWriter(tmp_path / "run") as writer:
