@@ -143,6 +143,10 @@ def test_contact_loss_and_nonlinear_frequency_can_be_targets():
         ),
         ("critical_pad_stiffness: [{preload: 5, belt_speed: fast, k_cr: 5e7}]", "belt_speed = 'fast' must be a number"),
         ("critical_pad_stiffness: [{preload: 5, belt_speed: 1, k_cr: .nan}]", "k_cr = nan N/m is out of bounds"),
+        (
+            f"critical_pad_stiffness: [{{preload: 5, belt_speed: 1{'0' * 400}, k_cr: 1e7}}]",
+            "belt_speed = inf m/s is out of bounds: it must be 0 to 20 m/s",
+        ),
         ("critical_pad_stiffness: 3", "expected a list, got 3"),
         ("critical_pad_stiffness: []", "there is no target in it"),
         ("squeal_frequency: {preload: 300}", "squeal_frequency: belt_speed is missing"),

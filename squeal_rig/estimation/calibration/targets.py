@@ -108,10 +108,14 @@ def number(where: str, key: str, value: object, lower: float = 0.0, upper: float
     bounds = f"at least {lower:g}" if math.isinf(upper) else f"{lower:g} to {upper:g}"
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ConfigurationError(f"{where}: {key} = {value!r} must be a number, {bounds} {unit}".rstrip())
-    if not (math.isfinite(value) and lower <= value <= upper):
-        shown = f"{value:g} {unit}".rstrip()
+    try:
+        found = float(value)
+    except OverflowError:  # a whole number may be too long for a float
+        found = math.inf if value > 0 else -math.inf
+    if not (math.isfinite(found) and lower <= found <= upper):
+        shown = f"{found:g} {unit}".rstrip()
         raise ConfigurationError(f"{where}: {key} = {shown} is out of bounds: it must be {bounds} {unit}".rstrip())
-    return float(value)
+    return found
 
 
 def mapping(where: str, value: object, keys: tuple[str, ...], needed: tuple[str, ...] = ()) -> Mapping[str, Any]:
