@@ -97,8 +97,8 @@ class Beside:
                 self._since = time.monotonic()
                 return None
             return self._done(), answer, ""
-        except ValueError:  # the end of its output, or no line of it
-            pass
+        except ValueError:
+            pass  # the end of its output, or no line of it: what comes below is for one that is gone
         process, asked = self._process, self._asked
         self.close()
         self.ended += 1

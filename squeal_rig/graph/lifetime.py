@@ -77,7 +77,7 @@ class GuardedExecutor(SingleThreadedExecutor):
         try:
             super().spin_once(timeout_sec)
         except ExternalShutdownException:
-            pass
+            pass  # we are ending, and who spins looks after that
         except Exception as error:
             self._note(error)
 

@@ -42,7 +42,7 @@ def end_with_stdin() -> None:
 
     def wait() -> None:
         while os.read(0, 4096):
-            pass
+            pass  # nobody sends anything: it is the end that is waited for
         os.kill(os.getpid(), signal.SIGTERM)
 
     threading.Thread(target=wait, name="end_with_stdin", daemon=True).start()

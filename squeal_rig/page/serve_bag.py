@@ -30,5 +30,5 @@ def serve_bag(bag: Path, settings: PageSettings, console: Console) -> None:
     server.start(settings.address, settings.port)
     console.print(f"the page of {bag} is at http://{settings.address}:{server.port}/, Ctrl-C ends it")
     while not ended.wait(0.2):
-        pass
+        pass  # in short waits: Python's handler of a signal runs between them
     server.close()

@@ -70,4 +70,4 @@ class ServerThread:
         self._failure = f"{self._what} cannot listen on {self._address[0]} port {self._address[1]}: {reason}"
 
     async def _serve(self) -> None:
-        raise NotImplementedError
+        raise NotImplementedError  # each kind of server has its own

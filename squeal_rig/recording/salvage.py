@@ -239,8 +239,8 @@ def _signature(head: ChunkHead) -> tuple[int, ...]:
 def _chunk(body: bytes) -> Salvaged | Damaged:
     try:
         records = unpack_chunk(body)
-        for _ in iter_records(records):  # without a checksum, at least the records must follow one another
-            pass
+        for _ in iter_records(records):
+            pass  # without a checksum, at least the records must follow one another
     except BrokenRecordError:
         return Damaged()
     return Salvaged(records, proved=read_chunk_head(body).crc != 0)
@@ -271,5 +271,5 @@ def _end_of_row(data: FileBytes, start: int) -> int:
                 break
             at = end
     except BrokenRecordError:
-        pass
+        pass  # up to here they follow one another
     return at

@@ -163,7 +163,7 @@ class Transport:
                 continue
             due = now + left
             while time.monotonic() < due:
-                pass
+                pass  # spun, not slept: see _SPIN
             self.worst_lateness = max(self.worst_lateness, -left)
             tick(message.log_time)
             return True

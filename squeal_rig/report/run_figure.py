@@ -68,7 +68,7 @@ def draw_run(analysis: Analysis, path: Path, force: bool = False) -> None:
 def _shade_squeal(axis: Any, analysis: Analysis) -> None:
     label = "squeal"
     for segment in analysis.segments:
-        if segment.squealing:
+        if segment.squealing and not segment.rings_down:  # as the table says it
             axis.axvspan(segment.begin, segment.end, color=_SQUEAL, alpha=0.08, lw=0.0, label=label)
             label = "_"
 
