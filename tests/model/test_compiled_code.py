@@ -109,6 +109,7 @@ def test_after_a_warm_up_nothing_is_left_to_compile():
     assert more == 0
 
 
+@pytest.mark.slow
 def test_code_compiled_from_an_older_right_hand_side_is_not_used(tmp_path):
     """numba looks for changes in a kernel's own file only; the engine is in another one than the physics."""
     for folder in ("squeal_rig", "config"):

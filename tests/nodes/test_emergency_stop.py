@@ -112,6 +112,7 @@ def test_a_rig_that_wants_a_supervisor_waits_for_its_heartbeat_and_obeys_it(comp
     assert "from outside" not in rig.errors  # a normal end is no trip
 
 
+@pytest.mark.slow
 def test_a_reset_of_the_supervisor_is_refused_in_a_sentence(compiled, processes, observer):
     supervisor = processes.node("supervisor", *parameters(nodes=["rig"], **PATIENT))
     rig = processes.node("simulator", *parameters(supervisor_required=True, **PATIENT_RIG))

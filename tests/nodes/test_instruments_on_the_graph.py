@@ -11,6 +11,7 @@ from tests.graph.processes import parameters
 pytest.importorskip("rclpy")
 
 
+@pytest.mark.slow
 def test_the_description_tells_noise_ripple_and_full_scale(compiled, processes, observer):
     blocks = observer.follow_samples("daq/samples")
     rig = processes.node("simulator", *parameters(instruments="typical", damping_x=20.0, damping_y=20.0))

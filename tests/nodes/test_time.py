@@ -121,7 +121,7 @@ def test_after_an_overrun_no_reset_turns_the_time_back(compiled, processes, obse
     rig = processes.node("simulator", *parameters(sample_rate=12800))
     blocks, health = observer.follow_samples("daq/samples", depth=2000), observer.follow("/diagnostics")
     observer.wait_for(lambda: blocks, "samples")
-    for number in range(6):
+    for number in range(3):
         rig.send(signal.SIGSTOP)
         time.sleep(0.6)
         rig.send(signal.SIGCONT)
@@ -130,12 +130,13 @@ def test_after_an_overrun_no_reset_turns_the_time_back(compiled, processes, obse
         assert observer.trigger("reset")[0], number
         seen = len(blocks)
         observer.wait_for(lambda seen=seen: len(blocks) > seen + 5, "samples after the reset")
-    observer.wait_for(lambda: int(health_of(health, "rig")[2]["overruns"]) >= 6, "six overruns")
+    observer.wait_for(lambda: int(health_of(health, "rig")[2]["overruns"]) >= 3, "three overruns")
     assert rig.end()[0] == 0
     stamps = np.array([block.stamp_ns for block in blocks])
     assert np.diff(stamps).min() >= _BLOCK_NS - 1_000_000
 
 
+@pytest.mark.slow
 def test_a_rig_that_is_asked_to_follow_a_clock_keeps_the_systems_time_and_says_so(compiled, processes, observer):
     rig = processes.node("simulator", *parameters(use_sim_time="true"))
     blocks, health = observer.follow_samples("daq/samples"), observer.follow("/diagnostics")

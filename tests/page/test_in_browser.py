@@ -129,7 +129,7 @@ def test_what_others_name_their_things_is_text_on_the_page(shown, observer):
     assert not shown.tab.query_selector("#node-list img")
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("scheme", ["light", pytest.param("dark", marks=pytest.mark.slow)])
 def test_axe_finds_nothing_serious_and_the_keyboard_reaches_everything(bench, browser, scheme):
     shown = Shown(browser, bench[0], color_scheme=scheme)
     found = Axe().run(shown.tab).response["violations"]

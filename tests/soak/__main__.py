@@ -2,6 +2,7 @@
 
 import argparse
 import csv
+import importlib.util
 import json
 import random
 import shutil
@@ -27,10 +28,12 @@ from tests.graph.statuses import health_of, status_of
 
 from .slopes import faults_of
 
-_NODES = ("rig", "supervisor", "friction_estimator", "stability", "squeal_detector", "recorder")
+_RIG_NODES = ("rig", "supervisor", "friction_estimator", "stability", "squeal_detector", "recorder")
+_HAS_PAGE = importlib.util.find_spec("aiohttp") is not None  # the extra [page]
+_NODES = (*_RIG_NODES, "view", "page") if _HAS_PAGE else _RIG_NODES
 _OWN = {
     "rig": {"supervisor_required": True},
-    "supervisor": {"nodes": [name for name in _NODES if name != "supervisor"]},
+    "supervisor": {"nodes": [name for name in _RIG_NODES if name != "supervisor"]},
     "recorder": {"max_file_duration": 60.0},
 }
 _OPERATING_POINT = {"preload": 50.0, "belt_speed": 1.0}
@@ -67,6 +70,12 @@ class Soak:
         self.health = observer.follow("/diagnostics", depth=200)
         self.states = observer.follow("supervisor/state", depth=20)
         self.delays, self.seen_lost, self._next = [], 0, None
+        self.port, self.watcher = 0, None
+        if _HAS_PAGE:
+            from .watcher import Watcher, free_port
+
+            self.port = free_port()
+            self.watcher = Watcher(self.port)
         observer.listen("daq/samples", self._take, raw=True)
         self.begin = time.monotonic()
 
@@ -89,6 +98,8 @@ class Soak:
         options, bag = dict(_OWN.get(name, {})), None
         if name == "recorder":
             bag = options["directory"] = self.out / "bags" / f"{len(self.lives):03d}"
+        if name == "page":
+            options["port"] = self.port
         if name == "supervisor":
             self.states.clear()  # those of the one before
         files = ("--params-file", config_directory() / "rig.yaml")
@@ -220,6 +231,8 @@ class Soak:
                 campaign = self.start_campaign()
         if campaign is None or campaign.wait(600.0) != 0:
             self.faults.append(f"the campaign beside: {campaign and campaign.errors[-300:]}")
+        if self.watcher is not None:
+            self.watcher.close()
         self.running["recorder"].child.end()
         for life in self.running.values():
             if life.child.running:
@@ -256,6 +269,9 @@ class Soak:
                 self.faults.append(f"{path.name}: {count.lost} samples of {topic} are missing, {told} were reported")
 
     def judge(self):
+        pages = sum(life.name == "page" for life in self.lives)
+        if self.watcher is not None and self.watcher.connections < pages:
+            self.faults.append(f"a browser came to {self.watcher.connections} of {pages} lives of the page")
         for life in self.lives:
             for kind, values in (("memory", life.memory), ("handles", life.handles)):
                 if len(life.times) >= 60:
@@ -285,6 +301,8 @@ class Soak:
             "latency p99, worst second [ms]": round(float(np.nanmax(late)), 1),
             "samples that the observer missed": self.seen_lost,
         }
+        if self.watcher is not None:
+            verdict["messages from the page"] = self.watcher.messages
         (self.out / "soak.json").write_text(json.dumps(verdict, indent=2) + "\n", encoding="utf-8")
         self.draw()
         return verdict
@@ -339,7 +357,8 @@ def main():
             processes.end_all()
         soak.judge()
         verdict = soak.write()
-    shutil.rmtree(out / "bags", ignore_errors=True)
+    if not verdict["faults"]:  # else somebody will want to look into them
+        shutil.rmtree(out / "bags", ignore_errors=True)
     sys.stdout.write(json.dumps(verdict, indent=2) + "\n")
     return 1 if verdict["faults"] else 0
 

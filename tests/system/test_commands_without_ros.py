@@ -159,6 +159,7 @@ def test_commands_that_need_no_ros_import_none(bag, tmp_path):
     assert result.returncode == 0, result.stderr
 
 
+@pytest.mark.slow
 def test_commands_that_need_ros_say_so_where_it_is_missing(tmp_path):
     # A package named rclpy that cannot be imported stands for none.
     (tmp_path / "rclpy.py").write_text("raise ModuleNotFoundError(\"No module named 'rclpy'\", name='rclpy')\n")

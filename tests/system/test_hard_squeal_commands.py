@@ -52,6 +52,7 @@ def test_a_folder_to_write_to_is_asked_for(in_process):
         assert "--out" in errors
 
 
+@pytest.mark.slow
 def test_settings_may_follow_each_other_or_each_have_its_option(in_process, tmp_path):
     texts = []
     for number, words in enumerate((DAMPED, ["--set", "damping_x=1000", "damping_y=1000"])):
