@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -9,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from squeal_rig.configuration.new_files import close_to_strangers
-from squeal_rig.errors import ConfigurationError, SquealRigError
+from squeal_rig.errors import ConfigurationError, SquealRigError, printable
 from squeal_rig.report.terminal import PlainConsole
 
 app = typer.Typer(
@@ -28,6 +29,12 @@ InstrumentsOption = Annotated[
     typer.Option(help="Data sheets: ideal, typical, poor, or a YAML file; those of the parameters by default."),
 ]
 NO_ROS = "ROS 2 is not installed here: pip install 'squeal_rig[jazzy]', or source a ROS 2 Jazzy installation"
+
+
+def _finite(value: float | None) -> float | None:
+    if value is not None and not math.isfinite(value):
+        raise typer.BadParameter(f"{value} s is not finite")
+    return value
 
 
 def _need_page() -> None:
@@ -59,7 +66,9 @@ def run(
     bag: Annotated[Path | None, typer.Option(help="Bag to write; bags/<UTC stamp> by default.")] = None,
     record: Annotated[bool, typer.Option(help="Record a bag.")] = True,
     plan: Annotated[Path | None, typer.Option(help="Plan to run; the rig runs until Ctrl-C without.")] = None,
-    duration: Annotated[float | None, typer.Option(help="Longest run without a plan [s].", min=0.0)] = None,
+    duration: Annotated[
+        float | None, typer.Option(help="Longest run without a plan [s].", min=0.0, callback=_finite)
+    ] = None,
     instruments: InstrumentsOption = None,
     page: Annotated[bool, typer.Option("--page", help="Serve the operator's page too.")] = False,
     control: Annotated[bool, typer.Option("--control", help="Let the page operate the rig.")] = False,
@@ -437,8 +446,10 @@ def recover(
 def cut(
     bag: BagArgument,
     out: OutArgument,
-    start: Annotated[float, typer.Option(help="Begin [s after the first message].", min=0.0)] = 0.0,
-    end: Annotated[float | None, typer.Option(help="End [s after the first message]; the bag's end without.")] = None,
+    start: Annotated[float, typer.Option(help="Begin [s after the first message].", min=0.0, callback=_finite)] = 0.0,
+    end: Annotated[
+        float | None, typer.Option(help="End [s after the first message]; the bag's end without.", callback=_finite)
+    ] = None,
     topic: TopicsOption = None,
 ) -> None:
     """Copy a piece of a bag into a new one."""
@@ -492,6 +503,10 @@ def main() -> int:
         app()
     except SquealRigError as error:
         sys.stderr.write(f"squeal-rig: {error}\n")
+        return 2
+    except OSError as error:  # of a path that is too long, that we may not look at, of a disk that is full
+        named = "" if error.filename is None else f"{printable(str(error.filename))[:200]}: "
+        sys.stderr.write(f"squeal-rig: {named}{error.strerror or printable(str(error))}\n")
         return 2
     except ModuleNotFoundError as error:
         if error.name is None or error.name.split(".")[0] != "rclpy":

@@ -33,9 +33,11 @@ Values = NDArray[np.float64]
 SHORTEST_SEGMENT = 0.3
 #: Signal kept of each segment for its spectrum [s]: the last part, where it has settled.
 _SPECTRUM_SECONDS = 0.5
-# What rings down loses more than this [dB/s]; squeal keeps its level. The detector is late by so many windows, whose
-# levels may be of what came after.
-_FALLING, _LATE = -3.0, 2
+# What rings down loses more than this [dB/s], or half of what the eigenvalues say, if that is less; squeal keeps its
+# level. Slow falls show over the last windows only. The detector is late by so many windows, whose levels may be of
+# what came after.
+_FALLING, _SLOWLY, _LAST, _LATE = -3.0, -0.1, 10, 2
+_DB_PER_NEPER = 20.0 / math.log(10.0)
 _WORDS = {True: "squeal", False: "quiet", None: "no numbers"}
 _MODE_BAND = (200.0, 5000.0)
 #: Zone of an operating point for which it cannot be computed.
@@ -104,15 +106,23 @@ class Segment:
     def hard_squeal(self) -> bool:
         """Whether it squeals for good where the eigenvalues call it stable."""
         known_stable = self.stability is not None and not self.stability.unstable
-        return bool(self.squealing) and known_stable and not self.rings_down
+        # In contact the motion of a stable rig is linear, and no squeal.
+        in_contact = self.true_samples > 0 and self.off_belt == 0
+        return bool(self.squealing) and known_stable and not in_contact and not self.rings_down
 
     @property
     def rings_down(self) -> bool:
         """Whether its level falls until its end, as after a hit that dies out: loud, and no squeal."""
         if not self.squealing or len(self.levels) < _LATE + 3:
             return False
-        before, last = self.levels[-_LATE - 3], self.levels[-_LATE - 1]
-        return (last - before) / (2.0 * SquealSettings().window) < _FALLING
+        growth = 0.0 if self.stability is None else self.stability.growth_rate
+        falling = max(_FALLING, min(_SLOWLY, 0.5 * growth * _DB_PER_NEPER))
+        levels = self.levels[:-_LATE][-_LAST - 1 :]
+
+        def slope(windows: int) -> float:
+            return (levels[-1] - levels[-1 - windows]) / (windows * SquealSettings().window)
+
+        return slope(2) < _FALLING or max(slope(2), slope(len(levels) - 1)) < falling
 
     @property
     def duration(self) -> float:
@@ -240,15 +250,18 @@ class _Analyser:
         self._course.blocks.append(
             (begin, float(daq["preload"][-1]), float(daq["belt_speed"][-1]), *extremes, off_belt)
         )
-        segment = self._segment_of(block, begin)
+        segment = self._segment_of(block, begin, restarted=missing is None)
+        if missing:
+            segment.signal.clear()  # a spectrum across a gap is none of the rig's
         self._extend(segment, block, begin + length)
         offset = self._origin / self._rate
         for window in windows:
             times = {name: window.values[name] - offset for name in ("t_start", "t_end")}
             self._course.windows.append({**window.values, **times})
 
-    def _segment_of(self, block: RecordedBlock, begin: float) -> Segment:
-        """The segment the block belongs to: a new one when the operating point or squeal has changed.
+    def _segment_of(self, block: RecordedBlock, begin: float, restarted: bool) -> Segment:
+        """The segment the block belongs to: a new one when the operating point or squeal has changed, or the rig has
+        been started anew.
 
         Where the rig has noise, a block's mean preload and speed may differ from the segment's by `point_tolerance`: of
         blocks at one operating point it splits off wrongly the share `tolerances.FALSE_SPLIT`. A ramp splits where it
@@ -259,7 +272,7 @@ class _Analyser:
         state = self._squeal.state
         squealing = None if math.isnan(state.level) else state.detected
         last = self._segments[-1] if self._segments else None
-        if last is None or squealing != last.squealing or not self._continues(last, p, block):
+        if last is None or restarted or squealing != last.squealing or not self._continues(last, p, block):
             last = Segment(begin, p, squealing, sample_rate=float(self._rate), rig=block.rig)
             self._segments.append(last)
         last.preloads.append(preload)

@@ -65,7 +65,9 @@ def parse_yaml(text: str, source: str, limit: int = MAX_YAML) -> Any:
     loader = YAML(typ="safe", pure=True)
     loader.Composer = _Composer
     try:
-        return loader.load(text)
+        content = loader.load(text)
+        _check_characters(content)
+        return content
     except RecursionError:
         raise ConfigurationError(f"{source}: not valid YAML: nested too deeply") from None
     except Exception as error:  # the reader's own slips as well: on `2020-99-99`, `!!float x`, `!!int ''`, ...
@@ -151,6 +153,19 @@ def yaml_scalar(value: float | int | bool | str) -> str:
 def yaml_mapping(values: Mapping[str, float | int | bool | str]) -> str:
     """A flat mapping as YAML text, one key a line, in the order given."""
     return "".join(f"{key}: {yaml_scalar(value)}\n" for key, value in values.items())
+
+
+def _check_characters(content: Any) -> None:
+    """ValueError for a text that nothing can pass on: half a character ("\\ud800"), or a zero byte."""
+    if isinstance(content, str):
+        if "\0" in content or (not content.isascii() and any("\ud800" <= c <= "\udfff" for c in content)):
+            raise ValueError(f"{content[:40]!a} has a character that no message can hold")
+    elif isinstance(content, (list, dict)):
+        for item in content:
+            _check_characters(item)
+        if isinstance(content, dict):
+            for item in content.values():
+                _check_characters(item)
 
 
 def _check_length(text: str, source: str, limit: int) -> None:

@@ -38,10 +38,11 @@ class MeanWithError:
 
 
 def correlation_factor(residuals: Values) -> float:
-    """By how much neighbours that are alike raise the variance of a mean: 1 + 2 sum (1 - k/n) r_k, at least 1.
+    """By how much neighbours that are alike raise the variance of a mean: 1 + 2 sum (1 - k/n) rho_k, at least 1.
 
-    Over the lags k up to the first whose autocorrelation r_k is not positive, or a third of n (Geyer, Statistical
-    Science 7, 1992, 3.3; Anderson, The Statistical Analysis of Time Series, 8.2).
+    The sum of the n - k products over that of the n squares is (1 - k/n) rho_k as it stands. Over the lags k up to the
+    first whose autocorrelation is not positive, or a third of n (Geyer, Statistical Science 7, 1992, 3.3; Anderson, The
+    Statistical Analysis of Time Series, 8.2).
     """
     n = len(residuals)
     power = float(np.dot(residuals, residuals))
@@ -52,7 +53,7 @@ def correlation_factor(residuals: Values) -> float:
         alike = float(np.dot(residuals[lag:], residuals[:-lag])) / power
         if alike <= 0.0:
             break
-        factor += 2.0 * (1.0 - lag / n) * alike
+        factor += 2.0 * alike
     return factor
 
 

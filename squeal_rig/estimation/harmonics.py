@@ -11,7 +11,7 @@ from squeal_rig.estimation.spectra import level_db, peak_frequency
 
 Values = NDArray[np.float64]
 
-#: A super-harmonic is looked for within this share of n times the fundamental.
+#: A super-harmonic is looked for within this share of the fundamental about n times it.
 SEARCH_SHARE = 0.02
 #: It must stand out of the median of its surroundings (a quarter of the fundamental on either side) by this much [dB].
 LEAST_PROMINENCE = 20.0
@@ -21,7 +21,7 @@ FURTHEST_BELOW = 80.0
 
 @dataclass(frozen=True)
 class Harmonic:
-    """A line at about `order` times the fundamental: frequency [Hz], level [dB re 1 um], prominence [dB]."""
+    """A line at about `order` times the fundamental: frequency [Hz], its amplitude [dB re 1 um], prominence [dB]."""
 
     order: int
     frequency: float
@@ -34,8 +34,9 @@ def superharmonics(
 ) -> tuple[float, list[Harmonic]]:
     """Fundamental [Hz] and the super-harmonics found.
 
-    The fundamental is the highest line in `band` [Hz]. A super-harmonic of order n is the highest line within 2 % of n
-    times the fundamental, if it stands 20 dB out of the median around it and at most 80 dB below the fundamental.
+    The fundamental is the highest line in `band` [Hz]. A super-harmonic of order n is the highest line within 2 % of
+    the fundamental about n times it, if it stands 20 dB out of the median around it and at most 80 dB below the
+    fundamental.
 
     Args:
         frequencies: (n,) [Hz], evenly spaced from 0.

@@ -149,7 +149,8 @@ class FrictionRegression:
         # Scaled columns, so that the rank is judged on the points' layout and not on the units.
         scale = np.max(np.abs(basis), axis=0)
         scale[scale == 0.0] = 1.0
-        weight = np.ones(len(count)) if exact else np.sqrt(count / np.mean(count))
+        noisy = self._rig is not None and bool(self._rig.noise)  # in any channel: it is in mu
+        weight = np.sqrt(count / np.mean(count)) if noisy else np.ones(len(count))
         matrix = basis / scale
         coefficients, _, rank, _ = np.linalg.lstsq(matrix * weight[:, None], mu * weight, rcond=1e-6)
         if rank < wanted:

@@ -7,6 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from squeal_rig.errors import ParameterError
+
 Values = NDArray[np.float64]
 
 #: Reference of displacement levels [m].
@@ -30,6 +32,15 @@ def amplitude_spectrum(signal: Values, sample_rate: float) -> tuple[Values, Valu
     amplitudes: Values = np.hypot(transform.real, transform.imag).astype(np.float64) * (2.0 / window.sum())
     frequencies: Values = np.arange(len(amplitudes), dtype=np.float64) * (sample_rate / len(signal))
     return frequencies, amplitudes
+
+
+def refuse_empty_band(sample_rate: float, samples: int, low: float, high: float) -> None:
+    """ParameterError where a spectrum of so many samples has no line in the band [low, high] Hz."""
+    spacing = sample_rate / samples
+    if math.floor(high / spacing) < math.ceil(low / spacing):
+        raise ParameterError(
+            f"no line of a window of {samples / sample_rate:g} s lies between {low:g} and {high:g} Hz: lengthen it"
+        )
 
 
 def band_rms(frequencies: Values, amplitudes: Values, low: float, high: float) -> float:

@@ -9,7 +9,14 @@ import numpy as np
 
 from squeal_rig.errors import ParameterError
 from squeal_rig.estimation.settings import SquealSettings
-from squeal_rig.estimation.spectra import REFERENCE, amplitude_spectrum, band_rms, level_db, peak_frequency
+from squeal_rig.estimation.spectra import (
+    REFERENCE,
+    amplitude_spectrum,
+    band_rms,
+    level_db,
+    peak_frequency,
+    refuse_empty_band,
+)
 from squeal_rig.estimation.tolerances import noise_level
 from squeal_rig.instruments.description import RigDescription
 from squeal_rig.instruments.driver import Samples
@@ -41,7 +48,7 @@ class SquealDetector:
     squeal that has ended is called so. Levels in the states are what was measured, with the noise in them.
 
     Raises:
-        ParameterError: the band reaches above half the sample rate.
+        ParameterError: the band reaches above half the sample rate, or the window is too short for it.
     """
 
     def __init__(self, sample_rate: int, settings: SquealSettings) -> None:
@@ -53,6 +60,7 @@ class SquealDetector:
         self._rate = sample_rate
         self._settings = settings
         self._signal = np.empty(max(2, round(settings.window * sample_rate)))
+        refuse_empty_band(sample_rate, len(self._signal), settings.band_low, settings.band_high)
         self._filled = 0
         self._expected: int | None = None
         self._stamp = 0

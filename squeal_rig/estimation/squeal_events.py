@@ -92,7 +92,7 @@ class SquealEvents:
         self._taken = 0  # samples since the first, missing ones not counted
         self._since_hop = 0
         self._expected: int | None = None
-        self._number = 0
+        self._number = self._lasting = 0
         self._unseen: dict[int, int] = {}
         self._dying: list[SquealEvent] = []
         self.current: list[SquealEvent] = []
@@ -105,8 +105,8 @@ class SquealEvents:
 
     @property
     def count(self) -> int:
-        """Events so far, those that last included."""
-        return self._number - sum(len(event.times) < self._least for event in self.current)
+        """Events so far that have lasted long enough, those that go on included."""
+        return self._lasting
 
     def add_samples(self, daq: Samples) -> list[SquealEvent]:
         """Take a block; returns the events that have ended in it."""
@@ -195,6 +195,7 @@ class SquealEvents:
     def _extend(self, event: SquealEvent, tone: Tone, middle: float, signal: Values) -> None:
         loudest = not event.levels or tone.level > event.level
         event.times.append(middle)
+        self._lasting += len(event.times) == self._least
         event.frequencies.append(tone.frequency)
         event.levels.append(tone.level)
         event.tonality = max(event.tonality, tone.tonality)

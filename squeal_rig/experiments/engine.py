@@ -10,6 +10,8 @@ from squeal_rig.experiments.plan import Plan
 
 RUN_STARTED, RUN_ENDED = "run started", "run ended"
 STEP_BEGUN, STEP_ENDED = "step begun", "step ended"
+#: Parameter of the node `console` by which a mechanic says that the springs of that name are fitted.
+FITTED = "spring_fitted"
 
 
 class Rig(Protocol):
@@ -25,7 +27,7 @@ class Rig(Protocol):
         """Smallest hit [N s] that starts squeal at the set point, and its direction [rad]."""
 
     def change_springs(self, name: str, stiffness: float, dwell: float) -> str:
-        """Fit other springs [N/m], for which a mechanic has so long [s]; returns how that went."""
+        """Fit other springs [N/m], which a mechanic confirms within so long [s]; returns how that went."""
 
     def sampled_time(self) -> float:
         """Time sampled so far [s]."""

@@ -14,7 +14,7 @@ from squeal_rig.model.parameters import RUN_TIME_CONCERNS, RigParameters
 
 CALLS = ("reset", "impact", "zero")
 _STEP_KEYS = ("note", "set", "call", "hit", "spring", "dwell", "wait")
-#: Time that a mechanic is given to change both springs [s], where a step does not say.
+#: Longest time for a mechanic to change both springs and to confirm it [s], where a step does not say.
 DWELL = 600.0
 _LONGEST_WAIT = 86400.0
 _LARGEST_HIT = 100.0
@@ -25,7 +25,7 @@ class Step:
     """One step: set parameters, call a service of the rig, hit the pad, then wait [s of sampled time].
 
     Each may be left out. `hit` is an impact as a share of the smallest one that starts squeal at the set point, in its
-    direction; 0 is none. `spring` is a pair of the plan's catalogue to be fitted, for which a mechanic has the time
+    direction; 0 is none. `spring` is a pair of the plan's catalogue to be fitted, which a mechanic confirms within
     `dwell` [s]; it is empty where they stay.
     """
 
@@ -41,7 +41,8 @@ class Step:
     def title(self) -> str:
         """The step in words."""
         what = self.call or (f"{self.hit:g} of the smallest hit" if self.hit else "wait")
-        what = f"fit the springs {self.spring!r}" if self.spring else what
+        if self.spring:  # always named: a mechanic needs it
+            return f"{self.note and f'{self.note}: '}fit the springs {self.spring!r}"
         return self.note or ", ".join([*(f"{name} = {value}" for name, value in self.set.items()), what])
 
 

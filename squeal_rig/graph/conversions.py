@@ -77,6 +77,11 @@ def status_values(message: DiagnosticStatus) -> dict[str, str]:
     return {pair.key: pair.value for pair in message.values}
 
 
+def whole_number(text: str) -> int:
+    """A count out of a status; 0 where the text is none."""
+    return int(text) if text.isdecimal() and len(text) < 20 else 0
+
+
 def status_number(message: DiagnosticStatus, key: str) -> float:
     """A number out of a status; nan where it says `none` or has no such key."""
     text = status_values(message).get(key, "none")

@@ -26,6 +26,14 @@ HEARD = "heard"
 LAST_PUBLISHED, LAST_TAKEN = "last published of ", "last taken of "
 
 
+def own_name(node: Node, name: str) -> str:
+    """Name of a node of our namespace, from that of a status on `/diagnostics`; empty for those of other rigs."""
+    namespace = node.get_namespace().strip("/")
+    prefix = f"{namespace}/" if namespace else ""
+    own = name.removeprefix(prefix)
+    return own if name.startswith(prefix) and "/" not in own else ""
+
+
 def listeners(publishers: Mapping[str, Any]) -> dict[str, int]:
     """Health values: how many subscribers each publisher, by its topic, counts itself.
 

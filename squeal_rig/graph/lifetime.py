@@ -160,6 +160,8 @@ def _run(factory: Callable[[Lifetime], Node], args: Sequence[str] | None) -> int
         return _refused(f"unknown argument after --ros-args: {error}", 2)
     except rclpy_implementation.RCLError as error:
         return _refused(" ".join(str(error).split(", at ")[0].split()), 2)
+    except OSError as error:  # a path that cannot be, a port that is taken
+        return _refused(str(error), 2)
     except Exception as error:
         return _refused(f"the node could not start: {described(error)}", 1)
     executor = GuardedExecutor()

@@ -6,18 +6,31 @@ import asyncio
 import contextlib
 from typing import Any
 
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
+from squeal_rig.experiments.engine import FITTED
 from squeal_rig.graph import qos
-from squeal_rig.page.commands import EMERGENCY_STOP, SET, SUPERVISOR_RESET, Command
+from squeal_rig.page.commands import (
+    ACTIVATE,
+    DEACTIVATE,
+    EMERGENCY_STOP,
+    SET,
+    SPRINGS_FITTED,
+    SUPERVISOR_RESET,
+    Command,
+)
 
 # Longest time for an answer [s].
 _TIMEOUT = 10.0
 _STOP_TIMEOUT = 3.0
+# Longest time to connect a device anew [s].
+_ACTIVATION = 60.0
 # How often a service that is not there is looked for, and how long between [s]: discovery took up to 2.3 s.
 _LOOKS, _LOOK_EVERY = 100, 0.05
 # Commands that wait for the graph's answer, of all that ask; the emergency stop is not among them.
@@ -32,6 +45,9 @@ _TRIGGERS = {
     "snapshot": "recorder/snapshot",
     SUPERVISOR_RESET: "supervisor/reset",
 }
+_TRANSITIONS = {DEACTIVATE: Transition.TRANSITION_DEACTIVATE, ACTIVATE: Transition.TRANSITION_ACTIVATE}
+# Command -> node and parameter that takes its text.
+_TEXTS = {SUPERVISOR_RESET: ("supervisor", "reset_reason"), SPRINGS_FITTED: ("console", FITTED)}
 
 
 class Operator:
@@ -47,7 +63,8 @@ class Operator:
         self._triggers = {name: make(Trigger, service) for name, service in _TRIGGERS.items()}
         self._pause = make(SetBool, "rig/pause")
         self._set = make(SetParametersAtomically, "rig/set_parameters_atomically")
-        self._reason = make(SetParameters, "supervisor/set_parameters")
+        self._texts = {name: make(SetParameters, f"{node}/set_parameters") for name, (node, _) in _TEXTS.items()}
+        self._change_state = make(ChangeState, "rig/change_state")
         self._stop_service = make(Trigger, EMERGENCY_STOP)
         self._stop_topic = node.create_publisher(String, EMERGENCY_STOP, qos.EVENTS)
         self._stopping: asyncio.Task[tuple[bool, str]] | None = None
@@ -72,18 +89,31 @@ class Operator:
         try:
             if command.name == SET:
                 return await self._set_parameters(command)
+            if command.name in _TRANSITIONS:
+                return await self._taken_through(command.name)
+            if command.name in _TEXTS:
+                taken, refusal = await self._give_text(command)
+                if not taken or command.name not in self._triggers:
+                    return taken, refusal or f"{command.text}: confirmed"
             if command.name in ("pause", "resume"):
                 answer = await self._answer(self._pause, SetBool.Request(data=command.name == "pause"))
             else:
-                if command.name == SUPERVISOR_RESET:
-                    reason = Parameter("reset_reason", value=command.reason).to_parameter_msg()
-                    given = await self._answer(self._reason, SetParameters.Request(parameters=[reason]))
-                    if not given.results[0].successful:
-                        return False, str(given.results[0].reason)
                 answer = await self._answer(self._triggers[command.name], Trigger.Request())
             return bool(answer.success), str(answer.message)
         except LookupError as error:
             return False, str(error.args[0])
+
+    async def _give_text(self, command: Command) -> tuple[bool, str]:
+        text = Parameter(_TEXTS[command.name][1], value=command.text).to_parameter_msg()
+        answer = await self._answer(self._texts[command.name], SetParameters.Request(parameters=[text]))
+        return bool(answer.results[0].successful), str(answer.results[0].reason)
+
+    async def _taken_through(self, transition: str) -> tuple[bool, str]:
+        """Through a transition of the rig's lifecycle; the answer of that has no words."""
+        request = ChangeState.Request(transition=Transition(id=_TRANSITIONS[transition]))
+        answer = await self._answer(self._change_state, request, _ACTIVATION)
+        failed = f"the rig did not {transition}: its state does not allow it, or its health says why"
+        return bool(answer.success), f"{transition}d" if answer.success else failed
 
     async def _stop(self) -> tuple[bool, str]:
         """By the topic first, which waits for nobody; then by the service, whose answer is the driver's."""

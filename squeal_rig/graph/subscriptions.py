@@ -45,8 +45,8 @@ class TopicSubscriptions:
     """Follows the graph.
 
     `found` is called with (topic, type, offered QoS) for a topic that is new, and returns what takes its messages; it
-    may raise RecordingError, which puts the topic into `unknown` with the reason. `lost` counts messages that the
-    middleware says it dropped.
+    may raise RecordingError, which puts the topic into `unknown` with the reason, until it is found otherwise. `lost`
+    counts messages that the middleware says it dropped.
     """
 
     def __init__(
@@ -75,15 +75,18 @@ class TopicSubscriptions:
         present = self._node.get_topic_names_and_types()
         names = [name for name, _ in present]
         wanted = names if "*" in self._patterns else set(matching_topics(names, self._patterns))
-        for topic, types in present:
-            if topic in wanted and topic not in self.unknown:
-                known = self._topics.get(topic)
-                if known is None or self._round % _ADAPT_EVERY == 0:
-                    offered = [offered_qos(end) for end in self._node.get_publishers_info_by_topic(topic)]
-                    if offered and known is None:
-                        self._begin(topic, types, offered)
-                    elif offered and known is not None:
-                        self._adapt(topic, known, offered)
+        again = self._round % _ADAPT_EVERY == 0
+        for topic, _ in present:
+            known = self._topics.get(topic)
+            # What could not be recorded is looked at again: a publisher of another type may have gone.
+            if topic not in wanted or (not again and (known is not None or topic in self.unknown)):
+                continue
+            publishers = self._node.get_publishers_info_by_topic(topic)
+            offered = [offered_qos(end) for end in publishers]
+            if offered and known is None:
+                self._begin(topic, sorted({end.topic_type for end in publishers}), offered)
+            elif offered and known is not None:
+                self._adapt(topic, known, offered)
 
     def _begin(self, topic: str, types: Sequence[str], offered: list[QosProfile]) -> None:
         try:
@@ -92,9 +95,11 @@ class TopicSubscriptions:
             message_class(types[0])
             taken = self._found(topic, types[0], offered)
         except RecordingError as error:
-            self.unknown[topic] = str(error)
-            self._node.get_logger().warning(f"{topic} is not recorded: {error}")
+            if self.unknown.get(topic) != str(error):
+                self.unknown[topic] = str(error)
+                self._node.get_logger().warning(f"{topic} is not recorded: {error}")
             return
+        self.unknown.pop(topic, None)
         self._topics[topic] = known = _Topic(types[0], taken, requested_qos(offered))
         self._subscribe(topic, known)
 

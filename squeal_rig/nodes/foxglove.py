@@ -9,6 +9,7 @@ import secrets
 import sys
 import time
 from collections.abc import Sequence
+from concurrent.futures import TimeoutError as FutureTimeoutError
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -49,7 +50,7 @@ from squeal_rig.recording.replay import matching_topics
 from squeal_rig.view.sound import WithoutOffset
 
 _LOOK_EVERY = 0.5
-_ANSWER_TIMEOUT = 15.0
+_ANSWER_TIMEOUT = 75.0  # longer than the operator waits for anything
 _AUDIO = "pad/sound"
 _FULL_SCALE = 20e-6  # displacement [m] that is full scale of the sound
 _TRIGGER = "std_srvs/srv/Trigger"
@@ -249,7 +250,10 @@ class FoxgloveNode(Node, ServerListener):
         except (SquealRigError, TypeError, ValueError) as error:
             return False, str(error)
         asked = asyncio.run_coroutine_threadsafe(self._operator.operate(command), self._gate.loop)
-        return asked.result(_ANSWER_TIMEOUT)
+        try:
+            return asked.result(_ANSWER_TIMEOUT)
+        except FutureTimeoutError:
+            return False, f"no answer within {_ANSWER_TIMEOUT:g} s: it may still be carried out"
 
 
 def _definition(text: str) -> bytes:

@@ -27,12 +27,14 @@ def _middles(span: tuple[float, float], points: int) -> tuple[float, float]:
 
 
 def operating_map(values: dict[str, Any], points: int) -> dict[str, Any]:
-    """Ranges of F [N] and V [m/s] and, a row a speed, a letter a point: quiet, bistable, squeal or - (no contact)."""
+    """Ranges of F [N] and V [m/s] and, a row a speed, a letter a point: quiet, bistable, squeal, - where there is no
+    contact, ? where it is not known.
+    """
     try:
         spans = _middles(_PRELOADS, points), _middles(_SPEEDS, points)
         chart = zone_chart(RigParameters.from_mapping(values), *spans, points)
     except SquealRigError as error:
         return {"state": f"there is none: {error}"}
-    letters = {-1: "-", 0: "q", 1: "b", 2: "s"}
+    letters = {-2: "?", -1: "-", 0: "q", 1: "b", 2: "s"}
     rows = ["".join(letters[int(code)] for code in row) for row in chart.map.zone]
     return {"state": "computed", "preloads": _PRELOADS, "speeds": _SPEEDS, "rows": rows}

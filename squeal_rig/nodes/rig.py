@@ -17,7 +17,7 @@ from squeal_rig.configuration.declared import Declared
 from squeal_rig.errors import DriverError, ParameterError, SafetyError
 from squeal_rig.graph import qos
 from squeal_rig.graph.conversions import ERROR, OK, WARN, status_number
-from squeal_rig.graph.health import Health, HealthPublisher
+from squeal_rig.graph.health import Health, HealthPublisher, own_name
 from squeal_rig.graph.lifetime import STEADY, Lifetime, described, run_node
 from squeal_rig.graph.names import Claim, is_running
 from squeal_rig.graph.parameters import NODE_OPTIONS, DeclaredParameters, overrides
@@ -284,7 +284,9 @@ class RigNode(LifecycleNode):
                     break
         except Exception as error:
             self._stop_timer()
-            self._fail(f"{described(error)}; call ~/reset to start again")
+            # A supervisor's latch is not released while the rig has a fault, and the rig not reset before that.
+            way = "deactivate and activate" if self._settings.supervisor_required else "call ~/reset"
+            self._fail(f"{described(error)}; {way} to start again")
 
     def _is_held(self) -> bool:
         """Whether the rig must not be driven yet; it begins to once the supervisor is there."""
@@ -410,7 +412,7 @@ class RigNode(LifecycleNode):
         readers neither. Nodes that follow the rig first try to be served again by themselves.
         """
         for status in message.status:
-            unserved = status_number(status, UNSERVED)
+            unserved = status_number(status, UNSERVED) if own_name(self, status.name) else 0.0
             if unserved > _UNSERVED_LIMIT and self._active and not self._paused and not self._fault:
                 now = time.monotonic()
                 if now - self._renewed > _RENEW_EVERY:

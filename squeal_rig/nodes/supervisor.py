@@ -18,8 +18,17 @@ from std_srvs.srv import Trigger
 
 from squeal_rig.errors import SafetyError
 from squeal_rig.graph import qos
-from squeal_rig.graph.conversions import ERROR, OK, WARN, diagnostics, status, status_number, status_values
-from squeal_rig.graph.health import Health, HealthPublisher
+from squeal_rig.graph.conversions import (
+    ERROR,
+    OK,
+    WARN,
+    diagnostics,
+    status,
+    status_number,
+    status_values,
+    whole_number,
+)
+from squeal_rig.graph.health import Health, HealthPublisher, own_name
 from squeal_rig.graph.lifetime import STEADY, Lifetime, run_node
 from squeal_rig.graph.parameters import NODE_OPTIONS, DeclaredParameters
 from squeal_rig.graph.rig_follower import RigFollower
@@ -44,8 +53,6 @@ class SupervisorNode(Node):
         self._lifetime = lifetime
         self._declared = DeclaredParameters(self, (SupervisorSettings(),), apply=self._on_settings)
         self._supervisor = Supervisor(self._declared.group(SupervisorSettings), time.monotonic())
-        namespace = self.get_namespace().strip("/")
-        self._prefix = f"{namespace}/" if namespace else ""
         self._asked_rest = self._asked_stop = -_AGAIN
         self._state = self.create_publisher(DiagnosticArray, "supervisor/state", qos.LATCHED)
         self._trips = self.create_publisher(DiagnosticArray, "supervisor/trips", qos.RUN_EVENTS)
@@ -86,8 +93,7 @@ class SupervisorNode(Node):
     def _on_health(self, message: DiagnosticArray) -> None:
         now = time.monotonic()
         for found in message.status:
-            name = found.name.removeprefix(self._prefix)
-            if found.name.startswith(self._prefix) and "/" not in name:
+            if name := own_name(self, found.name):
                 values = status_values(found)
                 state = values.get(STATE_KEY, "")
                 if MOVES_BELT in values:
@@ -102,9 +108,9 @@ class SupervisorNode(Node):
             safe = RigSafe(
                 stopped,
                 values.get("reason", ""),
-                _count(values.get("number", "0")),
+                whole_number(values.get("number", "0")),
                 not stopped or values.get("accepted") == "true",
-                _count(values.get("requests", "0")) if values.get("asked last by") == "service" else 0,
+                whole_number(values.get("requests", "0")) if values.get("asked last by") == "service" else 0,
             )
             self._supervisor.take_safe(safe, time.monotonic())
         self._act()
@@ -115,7 +121,7 @@ class SupervisorNode(Node):
         self._act()
 
     def _on_change(self, event: ParameterEvent) -> None:
-        if event.node == f"/{self._prefix}rig":
+        if event.node == f"{self.get_namespace().rstrip('/')}/rig":
             self._supervisor.take_changes(len(event.changed_parameters), time.monotonic())
             self._act()
 
@@ -205,10 +211,6 @@ class SupervisorNode(Node):
             return _LEVELS[supervisor.level], words, values
         # A rig that is paused or has ended is no fault of ours, and of no other node's.
         return level, sentence, values
-
-
-def _count(text: str) -> int:
-    return int(text) if text.isdecimal() and len(text) < 20 else 0
 
 
 def main(args: Sequence[str] | None = None) -> int:

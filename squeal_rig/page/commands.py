@@ -13,6 +13,7 @@ from squeal_rig.instruments.settings import RigSettings
 from squeal_rig.model.parameters import RUN_TIME_PARAMETERS, RigParameters
 
 EMERGENCY_STOP, SET, SUPERVISOR_RESET = "emergency_stop", "set", "supervisor_reset"
+SPRINGS_FITTED, DEACTIVATE, ACTIVATE = "springs_fitted", "deactivate", "activate"
 #: Commands without more than their name.
 PLAIN = (
     "reset",
@@ -20,14 +21,21 @@ PLAIN = (
     "zero",
     "pause",
     "resume",
+    DEACTIVATE,
+    ACTIVATE,
     "record_start",
     "record_stop",
     "snapshot",
     EMERGENCY_STOP,
 )
-#: Longest command taken [bytes], and longest reason [characters].
+#: Commands with a text: what it is called there, and what the command is in words.
+TEXTS = {
+    SUPERVISOR_RESET: ("reason", "a reset of the supervisor needs a reason"),
+    SPRINGS_FITTED: ("name", "confirming springs needs their name"),
+}
+#: Longest command taken [bytes], and longest text in one [characters].
 MOST_BYTES = 4096
-MOST_REASON = 200
+MOST_TEXT = 200
 #: The impact's settings, which are the rig's parameters too.
 HIT = ("impact_impulse", "impact_direction")
 
@@ -44,11 +52,11 @@ def settable() -> dict[str, Declaration]:
 
 @dataclass(frozen=True)
 class Command:
-    """One command: its name, values to set, reason for the supervisor's reset."""
+    """One command: its name, values to set, reason for the supervisor's reset or name of the springs."""
 
     name: str
     values: Mapping[str, Any] = field(default_factory=dict)
-    reason: str = ""
+    text: str = ""
 
 
 def command_of(text: bytes, control: bool) -> Command:
@@ -66,18 +74,19 @@ def command_of(text: bytes, control: bool) -> Command:
     if not isinstance(content, dict):
         raise RefusedError("that is no command: it has no name")
     name = content.pop("do", None)
-    if not isinstance(name, str) or name not in (*PLAIN, SET, SUPERVISOR_RESET):
+    if not isinstance(name, str) or name not in (*PLAIN, SET, *TEXTS):
         raise RefusedError(f"there is no command {str(name)[:40]!r}")
     if name != EMERGENCY_STOP and not control:
         raise RefusedError("this page is read-only: start it with --control, or the parameter control, to operate")
     if name == SET:
         return Command(SET, _values(content.pop("values", None), content))
-    if name == SUPERVISOR_RESET:
-        reason = content.pop("reason", None)
-        if not isinstance(reason, str) or not reason.strip() or len(reason) > MOST_REASON or not reason.isprintable():
-            raise RefusedError(f"a reset of the supervisor needs a reason of 1 to {MOST_REASON} printable characters")
+    if name in TEXTS:
+        key, needed = TEXTS[name]
+        given = content.pop(key, None)
+        if not isinstance(given, str) or not given.strip() or len(given) > MOST_TEXT or not given.isprintable():
+            raise RefusedError(f"{needed} of 1 to {MOST_TEXT} printable characters")
         _nothing_else(content)
-        return Command(name, reason=reason.strip())
+        return Command(name, text=given.strip())
     _nothing_else(content)
     return Command(name)
 

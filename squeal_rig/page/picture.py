@@ -35,6 +35,7 @@ DARK_DB, BRIGHT_DB = -90.0, 20.0
 _GONE = 3.5  # a node whose health is older [s] is gone
 _MOST_EVENTS = 50
 _MOST_NODES = 64
+_OURS = ("rig", "supervisor", "recorder", "squeal_detector", "friction_estimator", "stability", "view", "page")
 # Quantities that the supervisor limits, each named <quantity>_<one of the levels> where it has a limit of that level.
 _LIMITED, _LEVELS = (*LIMITED, "squeal", "stale"), ("warn", "ramp_down", "stop")
 
@@ -163,10 +164,12 @@ class Picture:
             self._squeals.take(stamp, detected, level, frequency, self._point())
 
     def take_health(self, name: str, status: Status) -> None:
-        """Take a node's health."""
+        """Take a node's health; where there are too many, the stranger goes that has been silent longest."""
         with self._lock:
-            if name in self._nodes or len(self._nodes) < _MOST_NODES:
-                self._nodes[name] = (time.monotonic(), status)
+            if name not in self._nodes and len(self._nodes) >= _MOST_NODES:
+                strangers = [known for known in self._nodes if known.removeprefix(self._namespace) not in _OURS]
+                del self._nodes[min(strangers, key=lambda known: self._nodes[known][0])]
+            self._nodes[name] = (time.monotonic(), status)
 
     def take_told(self, what: str, status: Status) -> None:
         """Take the last word of `supervisor` or of `safe` (the rig's way to stop)."""

@@ -12,6 +12,9 @@ from squeal_rig.errors import ConfigurationError, RecordingError
 AT_START, CHANGE = "parameters", "parameter_change"
 _MAX_NODES = 1000  # nodes come and go in a long recording; what is repeated in every file stays bounded
 _MAX_VALUES = 1 << 18  # characters of YAML: some seconds' work
+# What is kept of one node: characters of its names and values as they are about to be written, and characters of one
+# number of an array. It is written in the thread that takes the samples, within a second.
+_KEPT, _A_NUMBER = 1 << 16, 25
 
 Record = tuple[str, dict[str, str]]
 
@@ -31,7 +34,7 @@ class ParameterLog:
     def at_start(self, node: str, values: Mapping[str, Any], time_ns: int) -> Record:
         """Take all parameters of a node, asked for at that time [ns]; returns the record."""
         if node in self._nodes or len(self._nodes) < _MAX_NODES:
-            self._nodes[node] = dict(values)
+            self._nodes[node] = _bounded(values)
         return _record(AT_START, node, values, time_ns)
 
     def changed(self, node: str, values: Mapping[str, Any], deleted: tuple[str, ...], time_ns: int) -> Record:
@@ -41,6 +44,7 @@ class ParameterLog:
             known |= values
             for name in deleted:
                 known.pop(name, None)
+            self._nodes[node] = _bounded(known)
         return _record(CHANGE, node, {**values, **dict.fromkeys(deleted)}, time_ns)
 
     def current(self, time_ns: int) -> list[Record]:
@@ -61,4 +65,22 @@ def parameters_of(record: Mapping[str, str]) -> tuple[str, int, dict[str, Any]]:
 
 
 def _record(name: str, node: str, values: Mapping[str, Any], time_ns: int) -> Record:
-    return name, {"node": node, "time_ns": str(time_ns), "values": dump_yaml(dict(values))}
+    return name, {"node": node, "time_ns": str(time_ns), "values": dump_yaml(_bounded(values))}
+
+
+def _bounded(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Values as they are kept: a sentence in place of one that is too long, and of all that are beyond the bound."""
+    kept: dict[str, Any] = {}
+    left = _KEPT
+    for name, value in values.items():
+        items = len(value) if isinstance(value, (str, list)) else 1
+        size = items * (1 if isinstance(value, str) else _A_NUMBER)
+        if isinstance(value, list) and items * _A_NUMBER <= left:  # of texts, each may be long
+            size = sum(len(item) if isinstance(item, str) else _A_NUMBER for item in value)
+        fits = size <= left
+        left -= len(name) + (size if fits else 40)
+        if left < 0:
+            kept["left out"] = f"{len(values) - len(kept)} parameters"
+            break
+        kept[name] = value if fits else f"left out: {items} {'characters' if isinstance(value, str) else 'values'}"
+    return kept

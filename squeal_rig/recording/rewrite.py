@@ -31,7 +31,7 @@ def cut(
     Raises RecordingError where nothing is left or the bags cannot be read or written.
     """
     bag = Bag(source)
-    if not 0.0 <= start <= bag.duration or (end is not None and end <= start):
+    if not 0.0 <= start <= bag.duration or (end is not None and not end > start):
         raise RecordingError(
             f"The cut from {start:g} s to {'the end' if end is None else f'{end:g} s'} is not within the bag,"
             f" which is {bag.duration:.3f} s long."
@@ -40,7 +40,7 @@ def cut(
     if not chosen:
         raise RecordingError(f"No topic of {bag.path} matches {', '.join(topics)}.")
     first = bag.start_time + round(start * 1e9)
-    last = None if end is None else bag.start_time + round(end * 1e9)
+    last = None if end is None else bag.start_time + round(min(end, bag.duration + 1.0) * 1e9)
     facts = dict(bag.custom_data)
     ending = facts.pop(_ENDING, "")
     facts |= {"cut_from": bag.path.name, "cut_start_s": f"{start!r}", "cut_end_s": "" if end is None else f"{end!r}"}

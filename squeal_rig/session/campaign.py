@@ -97,6 +97,7 @@ class LiveBench:
         self.gaps = self.lost = self.measured = 0
         self._cut = False
         graph.on_samples = self._take
+        graph.keeps_windows = True
 
     def measure(self, campaign: Campaign, values: Mapping[str, float]) -> Point:
         """Measure a point: what comes from now on is its own. Where samples are lost in it, once more."""

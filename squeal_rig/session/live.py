@@ -12,7 +12,9 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
@@ -20,21 +22,20 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from squeal_rig.errors import ExperimentError, NoHitError, RecordingError
+from squeal_rig.errors import ExperimentError, NoHitError, RecordingError, SquealRigError
 from squeal_rig.estimation import hard_squeal
 from squeal_rig.estimation.stability_follower import DESCRIPTION_KEY, IN_FORCE, SET_POINT, text_crc
-from squeal_rig.experiments.engine import RunEvent
+from squeal_rig.experiments.engine import FITTED, RunEvent
 from squeal_rig.graph import qos
-from squeal_rig.graph.conversions import ERROR, OK, diagnostics, status, status_number, status_values
-from squeal_rig.graph.health import HEARD, LAST_PUBLISHED, LAST_TAKEN, LISTENERS
+from squeal_rig.graph.conversions import ERROR, OK, diagnostics, status, status_number, status_values, whole_number
+from squeal_rig.graph.health import HEARD, LAST_PUBLISHED, LAST_TAKEN, LISTENERS, own_name
 from squeal_rig.graph.lifetime import GuardedExecutor
 from squeal_rig.graph.names import Claim, is_running
 from squeal_rig.instruments.acquisition import NOT_MOVABLE
 from squeal_rig.instruments.channels import DAQ_CHANNELS, FRICTION_WINDOW_NEEDED, block_from_cdr
 from squeal_rig.instruments.description import RigDescription
 from squeal_rig.instruments.driver import Samples
-from squeal_rig.instruments.numbering import SEQ_MODULUS
-from squeal_rig.recording.gaps import samples_missing
+from squeal_rig.instruments.numbering import SEQ_MODULUS, Numbering
 from squeal_rig.safety.supervisor import ENDED, INACTIVE, STATE_KEY
 
 # Discovery of a service took up to 2.3 s where it was measured.
@@ -51,8 +52,8 @@ _NO_PRELOAD, _NO_SPEED, _STANDSTILL = 5.0, 0.02, 120.0
 _HAND_OVER = 10.0
 # Longest that a rig takes to connect anew [s].
 _START = 60.0
-#: Parameter of this node by which a mechanic says that the springs of that name are fitted.
-FITTED = "spring_fitted"
+# Nodes and topics of ours that are kept in mind, whatever names others publish.
+_MOST_NAMES = 1000
 
 
 @dataclass
@@ -94,18 +95,23 @@ class LiveGraph:
     """
 
     def __init__(self, watched: Callable[[], None]) -> None:
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        try:
+            rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        except rclpy_implementation.RCLError as error:  # such as a ROS_DOMAIN_ID that is none
+            raise ExperimentError(" ".join(str(error).split(", at ")[0].split())) from None
         self._node = Node("console")
         self._executor = GuardedExecutor()
         self._executor.add_node(self._node)
         self._watched = watched
-        self._samples = 0
-        self._interval = math.nan
+        self._sampled = 0.0
+        self._numbering = Numbering()
         self._next_seq: int | None = None
-        self._description = ""
+        self._to_fit = ""
+        self._description: RigDescription | None = None
         self._described = self._analysed = self._hard_squeal = ""
         self.state = LiveState()
         self.windows: list[Any] = []
+        self.keeps_windows = False
         self.on_spin: Callable[[], None] = lambda: None
         self.on_samples: Callable[[Samples], None] = lambda daq: None
         self.ends_with_trip = False
@@ -117,6 +123,8 @@ class LiveGraph:
         subscribe(DiagnosticArray, "squeal/state", self._on_squeal, qos.EVENTS)
         subscribe(DiagnosticArray, "supervisor/state", self._on_supervisor, qos.LATCHED)
         subscribe(DiagnosticArray, "/diagnostics", self._on_health, qos.EVENTS)
+        self._node.declare_parameter(FITTED, "")
+        self._node.add_on_set_parameters_callback(self._refuse_others)
         self._events = self._node.create_publisher(DiagnosticArray, "run/events", qos.RUN_EVENTS)
         self._set = self._node.create_client(SetParametersAtomically, "rig/set_parameters_atomically")
         self._change_state = self._node.create_client(ChangeState, "rig/change_state")
@@ -228,7 +236,10 @@ class LiveGraph:
         """Give both arms that stiffness [N/m]: at once where the rig's driver can, else by a mechanic.
 
         For a mechanic preload and belt come to nothing, and the rig is deactivated. It goes on once this node's
-        parameter `spring_fitted` is the springs' name, or `dwell` [s] has passed; then the set points are as before.
+        parameter `spring_fitted` is the springs' name; then the set points are as before.
+
+        Raises:
+            ExperimentError: nobody has confirmed it within `dwell` [s]; the rig stays inactive, hands may be on it.
         """
         springs: dict[str, float | str] = {"k1": stiffness, "k2": stiffness}
         try:
@@ -241,16 +252,28 @@ class LiveGraph:
         self.set_parameters({"preload": 0.0, "belt_speed": 0.0})
         self.wait_for(self._stands, "a rig without preload and with its belt at rest", _STANDSTILL)
         self.transition(Transition.TRANSITION_DEACTIVATE, _SERVICE_TIMEOUT)
-        if not self._node.has_parameter(FITTED):
-            self._node.declare_parameter(FITTED, "")
         self._node.set_parameters([Parameter(FITTED, value="")])
-        end = time.monotonic() + dwell
-        while (confirmed := self._node.get_parameter(FITTED).value) != name and time.monotonic() < end:
-            self.spin()
+        self._to_fit = name
+        try:
+            confirmed = self.comes(lambda: self._node.get_parameter(FITTED).value == name, dwell)
+        finally:
+            self._to_fit = ""
+        if not confirmed:
+            missing = f"nobody has confirmed the springs {name!r} within {dwell:g} s"
+            raise ExperimentError(f"{missing}: the rig stays inactive")
         self.set_parameters(springs)
         self.transition(Transition.TRANSITION_ACTIVATE, _START)
         self.set_parameters({"preload": before.preload, "belt_speed": before.belt_speed})
-        return f"fitted by hand, {'confirmed' if confirmed == name else f'{dwell:g} s have passed'}"
+        return "fitted by hand, confirmed"
+
+    def _refuse_others(self, parameters: Sequence[Parameter]) -> SetParametersResult:
+        """Other springs than those to be fitted are not confirmed."""
+        for parameter in parameters:
+            if parameter.name == FITTED and parameter.value not in ("", self._to_fit):
+                asked = f"the springs to fit are {self._to_fit!r}" if self._to_fit else "no springs are to fit now"
+                refusal = f"{FITTED} = {str(parameter.value)[:60]!r}: {asked}"
+                return SetParametersResult(successful=False, reason=refusal)
+        return SetParametersResult(successful=True)
 
     def _stands(self) -> bool:
         return abs(self.state.preload) < _NO_PRELOAD and abs(self.state.belt_speed) < _NO_SPEED
@@ -275,7 +298,9 @@ class LiveGraph:
     @property
     def description(self) -> RigDescription:
         """What the rig says of itself."""
-        return RigDescription.from_yaml(self._description)
+        if self._description is None:
+            raise ExperimentError("the rig has not described itself yet")
+        return self._description
 
     def tell(self, event: RunEvent) -> None:
         """Publish what has happened, with the number of the sample that comes next."""
@@ -291,7 +316,7 @@ class LiveGraph:
 
     def sampled_time(self) -> float:
         """Time sampled since this node joined [s]."""
-        return self._samples * self._interval if self._samples else 0.0
+        return self._sampled
 
     def wait_until(self, sampled_time: float) -> None:
         """Spin until that much has been sampled; `ExperimentError` when samples stop coming."""
@@ -313,16 +338,17 @@ class LiveGraph:
 
     def _on_daq(self, data: bytes) -> None:
         try:
-            daq = block_from_cdr(data, DAQ_CHANNELS).samples
+            stamp, _, daq = block_from_cdr(data, DAQ_CHANNELS)
         except RecordingError:
             return  # the estimator counts and reports refused blocks
-        first = int(daq["seq"][0])
-        missing = 0 if self._next_seq is None else samples_missing(self._next_seq, first)
-        self._samples += len(daq) + (missing or 0)
-        self._next_seq = first + len(daq)
+        if self._description is None:
+            return  # it is latched, and how much time a block is stands in it
+        rate, lost = self._description.sample_rate, self._numbering.lost_samples
+        # A gap is believed as far as the stamps say so: else a number that jumps would end every wait.
+        self._numbering.take(stamp, daq, rate)
+        self._sampled += (len(daq) + self._numbering.lost_samples - lost) / rate
+        self._next_seq = int(daq["seq"][0]) + len(daq)
         self.on_samples(daq)
-        if len(daq) > 1:
-            self._interval = float(daq["t"][1] - daq["t"][0])
         self.state.sampled_time = self.sampled_time()
         self.state.preload, self.state.belt_speed = float(daq["preload"][-1]), float(daq["belt_speed"][-1])
 
@@ -331,7 +357,8 @@ class LiveGraph:
             window = block_from_cdr(data, FRICTION_WINDOW_NEEDED).samples[0]
         except RecordingError:
             return
-        self.windows.append(window)
+        if self.keeps_windows:
+            self.windows.append(window.copy())  # and not the whole message with it
         self.state.mu_estimated = float(window["mu"])
         self.state.mu_ratio_of_means = float(window["mu_ratio_of_means"])
 
@@ -357,7 +384,10 @@ class LiveGraph:
         )
 
     def _on_description(self, message: String) -> None:
-        self._description = message.data
+        try:
+            self._description = RigDescription.from_yaml(message.data)
+        except SquealRigError:
+            return  # every node that follows the rig tells it; what was good before stands
         self._described = text_crc(message.data)
 
     def _on_squeal(self, message: DiagnosticArray) -> None:
@@ -373,11 +403,15 @@ class LiveGraph:
 
     def _on_health(self, message: DiagnosticArray) -> None:
         for found in message.status:
-            self.state.health[found.name] = (int.from_bytes(found.level, "little"), found.message)
-            if found.name.split("/")[-1] == "recorder":
+            name = own_name(self._node, found.name)
+            if not name:
+                continue
+            if name in self.state.health or len(self.state.health) < _MOST_NAMES:
+                self.state.health[name] = (int.from_bytes(found.level, "little"), found.message)
+            if name == "recorder":
                 self.state.recorded_bytes = status_number(found, "bytes")
                 self.state.recorded = frozenset(status_values(found).get(HEARD, "").split(", "))
-            if found.name.split("/")[-1] == "rig":
+            if name == "rig":
                 self.state.rig_state = status_values(found).get(STATE_KEY, "")
             for prefix, numbers in (
                 (LISTENERS, self.state.listeners),
@@ -385,7 +419,7 @@ class LiveGraph:
                 (LAST_TAKEN, self.state.taken),
             ):
                 numbers |= {
-                    key.removeprefix(prefix): int(value)
+                    key.removeprefix(prefix): whole_number(value)
                     for key, value in status_values(found).items()
-                    if key.startswith(prefix)
+                    if key.startswith(prefix) and len(numbers) < _MOST_NAMES
                 }

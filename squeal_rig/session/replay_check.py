@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from squeal_rig.configuration.files import yaml_scalar
 from squeal_rig.errors import ExperimentError
 from squeal_rig.recording import Bag, samples_from_cdr
 from squeal_rig.recording.gaps import samples_missing
@@ -68,13 +69,15 @@ def replay_and_compare(bag: Path, config: Path, rate: float, watch: SignalWatch)
     live = recorded_windows(bag)
     with tempfile.TemporaryDirectory(prefix="squeal_rig_") as logs:
         graph = LiveGraph(watch.check)
+        graph.keeps_windows = True
         files = ["--params-file", str(config)]
         estimator = NodeProcess("friction_estimator", Path(logs), files)
         nodes = [estimator]
         try:
             graph.wait_for(lambda: graph.listeners("daq/samples") >= 2, "the fresh estimator", _END_TIMEOUT)
-            play = ["-p", f"bag:={bag}", "-p", f"rate:={rate:.3f}", "-p", "wait_for_subscribers:=10.0"]
-            player = NodeProcess("player", Path(logs), [*files, *play])
+            play = {"bag": yaml_scalar(str(bag)), "rate": f"{rate:.3f}", "wait_for_subscribers": "10.0"}
+            words = [word for name, value in play.items() for word in ("-p", f"{name}:={value}")]
+            player = NodeProcess("player", Path(logs), [*files, *words])
             nodes.append(player)
 
             def check() -> None:

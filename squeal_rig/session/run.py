@@ -116,7 +116,6 @@ def run_session(options: SessionOptions, console: Console, watch: SignalWatch) -
     if options.bag is not None:
         refuse_written(options.bag)
     result = SessionResult()
-    log_directory = Path(tempfile.mkdtemp(prefix="squeal_rig_"))
     nodes: list[NodeProcess] = []
     spared: set[str] = set()
     recorded: list[str] = []  # topics of samples, once the run has begun: until then the rig may be somebody else's
@@ -134,6 +133,7 @@ def run_session(options: SessionOptions, console: Console, watch: SignalWatch) -
 
     console.print(keep_to_this_machine())
     graph = LiveGraph(watched)
+    log_directory = Path(tempfile.mkdtemp(prefix="squeal_rig_"))
     try:
         graph.refuse_other_rig()
         recorded = _start(options, nodes, log_directory, graph)
@@ -152,8 +152,11 @@ def run_session(options: SessionOptions, console: Console, watch: SignalWatch) -
             chosen = [n for n in running if n.name in names]
             result.exit_codes |= stop_all(chosen, options.bag if "recorder" in names else None)
         graph.close()
-        if options.bag is not None and options.bag.is_dir():
-            shutil.copytree(log_directory, options.bag / "logs", dirs_exist_ok=True)
+        try:
+            if options.bag is not None and options.bag.is_dir():
+                shutil.copytree(log_directory, options.bag / "logs", dirs_exist_ok=True)
+        except OSError as error:  # how the run went is told all the same
+            console.print(f"the nodes' logs could not be kept in the bag: {str(error)[:200]}", markup=False)
         shutil.rmtree(log_directory, ignore_errors=True)
     return result
 
@@ -185,7 +188,7 @@ def _start(options: SessionOptions, nodes: list[NodeProcess], logs: Path, graph:
     graph.transition(Transition.TRANSITION_CONFIGURE, _START_TIMEOUT)
     # The recorder comes last, so that its bag begins about when the run does, not while code is compiled.
     if options.bag is not None:
-        nodes.append(NodeProcess("recorder", logs, [*files, "-p", f"directory:={options.bag}"]))
+        nodes.append(NodeProcess("recorder", logs, [*files, "-p", f"directory:={yaml_scalar(str(options.bag))}"]))
     wanted = _wanted_listeners(options, len(nodes))
     graph.wait_for(lambda: graph.is_heard(wanted), "all nodes listening", _START_TIMEOUT)
     recorded = _sampled(options, graph)

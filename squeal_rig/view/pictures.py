@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,8 +40,9 @@ class Lines:
 
 
 def spectrum_lines(displacement: Values, sample_rate: float, high: float, points: int) -> Lines:
-    """Amplitude spectrum of a displacement (n,) [m] up to `high` [Hz], at most `points` lines.
+    """Spectrum of a displacement (n,) [m] up to `high` [Hz], at most `points` lines.
 
+    The level of a line is that of its RMS, as the squeal detector's is: a tone has the same in both.
     Where there are more, each is the greatest of its neighbours, so that no peak gets lost; its frequency is the first
     of theirs.
     """
@@ -50,5 +52,5 @@ def spectrum_lines(displacement: Values, sample_rate: float, high: float, points
     starts = np.arange(0, count, step)
     greatest = np.maximum.reduceat(amplitudes[:count], starts)
     with np.errstate(divide="ignore"):
-        levels = 20.0 * np.log10(greatest / REFERENCE)
+        levels = 20.0 * np.log10(greatest / (math.sqrt(2.0) * REFERENCE))
     return Lines(frequencies[starts], np.maximum(levels, FLOOR_DB))

@@ -17,7 +17,8 @@ from .matrix import CASES, STOP, TABLE
 _HEAD = """# Fault matrix
 
 Written by `make faults` from a run of `tests/faults`; do not edit. Each fault is injected into a running rig with its
-supervisor, on the ROS graph; *ends* is the level that it must end in, *within* the documented time to there, *measured*
+supervisor, on the ROS graph; *ends* is the level that it must end in, *within* the longest time to there with the
+settings of this run, *measured*
 the time of this run from the injection: to the trip, where the supervisor finds it; to the safe command accepted by the
 driver, where the rig or the process beside it (watchdog) does. No process may end that is not named in the matrix, and
 no log may hold a traceback. The rig is then mended by the procedure of [supervisor](supervisor.md) before the next

@@ -79,10 +79,11 @@ def test_every_command_is_understood():
     for name in PLAIN:
         assert asked(do=name) == Command(name)
     assert asked(do="set", values={"preload": 60}) == Command("set", {"preload": 60.0})
-    assert asked(do="supervisor_reset", reason=" seen to ") == Command("supervisor_reset", reason="seen to")
+    assert asked(do="supervisor_reset", reason=" seen to ") == Command("supervisor_reset", text="seen to")
+    assert asked(do="springs_fitted", name="stiff ") == Command("springs_fitted", text="stiff")
 
 
-@pytest.mark.parametrize("name", [*PLAIN, "set", "supervisor_reset"])
+@pytest.mark.parametrize("name", [*PLAIN, "set", "supervisor_reset", "springs_fitted"])
 def test_a_page_that_is_read_only_takes_the_emergency_stop_alone(name):
     if name == "emergency_stop":
         assert asked(control=False, do=name) == Command(name)
@@ -131,6 +132,7 @@ def test_a_value_that_is_not_declared_so_is_refused_with_a_sentence(values, word
         b'{"do": "set", "values": {"preload": NaN}}',
         b'{"do": "set", "values": {"preload": 1e999}}',
         b'{"do": "supervisor_reset"}',
+        b'{"do": "springs_fitted", "reason": "stiff"}',
         b'{"do": "supervisor_reset", "reason": "a\\nb"}',
         b'{"do": "supervisor_reset", "reason": "' + b"x" * 201 + b'"}',
         b"[" * 4000,

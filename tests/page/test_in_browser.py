@@ -107,6 +107,11 @@ def test_every_control_has_its_effect_on_the_graph(shown, bench, observer, confi
     assert "paused" in shown.press("pause")
     observer.wait_for(lambda: time.time_ns() - blocks[-1].stamp_ns > 5e8, "no more blocks")
     assert "running" in shown.press("resume")
+    assert "did not activate" in shown.press("activate")  # it is
+    assert "deactivated" in shown.press("deactivate")
+    assert observer.state() == "inactive"
+    assert "activated" in shown.press("activate")
+    assert observer.state() == "active"
     count = len(blocks)
     observer.wait_for(lambda: len(blocks) > count, "blocks again")
     assert "recording" in shown.press("record_start")
@@ -215,6 +220,9 @@ def test_what_a_campaign_tells_is_its_progress_on_the_page(shown, observer):
     said = "document.getElementById('run-state').textContent"
     shown.until(f"{said}.includes('campaign <b>Smoke</b>, 4 of 24 points done; point 5: preload = 30')")
     assert shown.tab.locator("#run-progress").get_attribute("value") == "4"
+    shown.tab.fill("#springs-fitted input", "stiff")
+    answer = shown.answer_to(lambda: shown.tab.press("#springs-fitted input", "Enter"))
+    assert "nobody offers /console/set_parameters" in answer  # what tells of a run here is no console
     tell(STEP_ENDED, step=5, of=24, title="preload = 30", outcome="done", verdict="squeal")
     shown.until(f"{said}.includes('5 of 24') && {said}.includes('left')")
     assert "verdict squeal" in shown.tab.text_content("#run-last")
@@ -224,6 +232,7 @@ def test_what_a_campaign_tells_is_its_progress_on_the_page(shown, observer):
     observer.wait_for(lambda: publisher.get_subscription_count() > 0, "the page listens")
     tell(RUN_ENDED, outcome="done")
     shown.until(f"{said}.includes('ended: done')")
+    assert not shown.tab.is_visible("#springs-fitted")
     observer.node.destroy_publisher(publisher)
 
 

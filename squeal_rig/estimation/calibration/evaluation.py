@@ -142,19 +142,20 @@ class Evaluator:
         simulated = [kind for kind in targets if kind in SIMULATED]
         if simulated:
             computed.update(self._nonlinear(columns, count, simulated, outside))
+        wanted: dict[str, NDArray[np.bool_]] = {}
         for kind in targets:
             errors[kind] = self._errors(kind, computed[kind], targets[kind])
-            wanted = np.array([not math.isnan(item.value) for item in targets[kind]])
+            wanted[kind] = np.array([not math.isnan(item.value) for item in targets[kind]])
             found = self._found(kind, computed[kind])
-            missing += (wanted != found).sum(axis=1) if self._counts(kind) else 0.0
+            missing += (wanted[kind] != found).sum(axis=1) if self._counts(kind) else 0.0
         loss = np.zeros(count)
         for kind, weight in self.problem.weights.items():
             if weight > 0.0 and kind in errors:
-                loss += weight * _measured(errors[kind], self.problem.measure)
+                loss += weight * _measured(errors[kind][:, wanted[kind]], self.problem.measure)
         for kind, limits in self.problem.limits.items():
             for measure, limit in limits.items():
                 if kind in errors:
-                    over = np.maximum(_measured(errors[kind], measure) - limit, 0.0)
+                    over = np.maximum(_measured(errors[kind][:, wanted[kind]], measure) - limit, 0.0)
                     outside += np.where(missing == 0, over, 0.0)
         return Evaluation(computed, errors, missing, outside, np.where(missing == 0, loss, np.inf))
 
@@ -250,7 +251,9 @@ def _point(item: Target) -> tuple[float, float, float]:
 
 
 def _measured(errors: Values, measure: str) -> Values:
-    """RMS, mean or largest of the errors (S, n) that exist."""
+    """RMS, mean or largest of the errors (S, n) of what is wanted; one that could not be computed counts elsewhere."""
+    if not errors.shape[1]:
+        return np.zeros(len(errors))
     size = np.where(np.isnan(errors), 0.0, np.abs(errors))
     if measure == "rms":
         return np.asarray(np.sqrt(np.mean(size**2, axis=1)))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from squeal_rig.configuration.declared import declarations
 from squeal_rig.estimation.spectra import amplitude_spectrum
-from squeal_rig.experiments.campaign.measuring import BACK, IRREGULAR, OUT, QUIET, SQUEAL
+from squeal_rig.experiments.campaign.measuring import BACK, IRREGULAR, OUT, QUIET, SQUEAL, is_unstable
 from squeal_rig.experiments.campaign.plans import PAD_STIFFNESS
 from squeal_rig.experiments.campaign.summary import Results
 from squeal_rig.model.parameters import RigParameters
@@ -173,7 +173,7 @@ def root_locus(results: Results) -> Picture | None:
         axis.legend()
         axis = axes[0, 1]
         axis.plot(growth, events["growth_frequency"], "ks", ms=4, label="measured at onset")
-        unstable = results.points["predicted_growth"] > 0.0
+        unstable = is_unstable(results.points)
         axis.plot(
             results.points["predicted_growth"][unstable], results.points["predicted_frequency"][unstable],
             "x", color="#b2182b", label="eigenvalue",

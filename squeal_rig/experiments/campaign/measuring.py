@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from squeal_rig.errors import ModelError
-from squeal_rig.estimation.spectra import amplitude_spectrum, band_rms, level_db
+from squeal_rig.estimation.spectra import amplitude_spectrum, band_rms, level_db, refuse_empty_band
 from squeal_rig.estimation.squeal_events import SquealEvent, SquealEvents
 from squeal_rig.estimation.tones import ToneFinder
 from squeal_rig.experiments.campaign.bench import Bench, EngineBench
@@ -21,6 +21,7 @@ from squeal_rig.experiments.campaign.plans import LEVEL, PAD_STIFFNESS, Campaign
 from squeal_rig.model.core.law import friction_law
 from squeal_rig.model.linear.maps import map_points
 from squeal_rig.model.motion.ensemble import STATUS, simulate_many
+from squeal_rig.model.motion.trajectory import LARGE_DISPLACEMENT
 
 Values = NDArray[np.float64]
 Table = dict[str, NDArray[Any]]
@@ -33,6 +34,12 @@ VERDICTS = {
     IRREGULAR: "loud, and no tone stands out",
     STOPPED: "ended by the plan's rule on the level",
     FAILED: "no numbers: the note says why",
+}
+#: And with `measure: level`, which follows no tones.
+VERDICTS_BY_LEVEL = {
+    **VERDICTS,
+    QUIET: "the level is not reached, or the pad never left the belt",
+    SQUEAL: "the level is reached over the dwell, and the pad left the belt",
 }
 OUT, BACK = "out", "back"
 
@@ -60,10 +67,13 @@ class _Measurement:
         self._campaign, self._bench = campaign, bench
         rate = bench.sample_rate
         self._events = SquealEvents(rate, campaign.squeal, campaign.tones)
+        window = max(2, round(campaign.squeal.window * rate))
+        refuse_empty_band(rate, window, campaign.squeal.band_low, campaign.squeal.band_high)
         self._time = 0
         self._values: Mapping[str, float] = {}
         self._rate = rate
         self._ramps = 0
+        self._largest = 0.0  # displacement along the belt [m]
         self._point = Point(
             {
                 "verdict": FAILED, "level": math.nan, "frequency": math.nan, "tonality": math.nan, "tones": 0,
@@ -85,6 +95,10 @@ class _Measurement:
                 row["frequency"] = max(self._squealing, key=lambda event: event.levels[-1]).frequencies[-1]
         except ModelError as error:
             row["verdict"], row["note"] = FAILED, str(error)
+        rig = self._campaign.rig(values)
+        note = _outside(self._largest, min(rig.arm_length_1, rig.arm_length_2))
+        if note and row["verdict"] != FAILED:
+            row["verdict"], row["note"] = FAILED, note
         self._point.events += self._events.finish()
         for event in self._point.events:  # numbers by time of onset
             event.number = 0
@@ -100,6 +114,7 @@ class _Measurement:
         for x in self._bench.run(duration):
             self._point.events += self._events.add_signal(x)
             self._time += len(x)
+            self._largest = max(self._largest, float(np.max(np.abs(x), initial=0.0)))
             pieces.append(x)
             kept, unjudged = kept + len(x), unjudged + len(x)
             while kept - len(pieces[0]) >= max(self._rate, self._window):
@@ -212,6 +227,18 @@ class _Measurement:
             row["verdict"] = SQUEAL if any(step["squealing"] for step in steps) else QUIET
 
 
+def is_unstable(points: Table) -> NDArray[np.bool_]:
+    """Where the linearised rig is unstable: only what grows has a frequency of squeal (`stability_map`)."""
+    return np.isfinite(points["predicted_frequency"])
+
+
+def _outside(largest: float, arm: float) -> str:
+    """Why a motion of that displacement [m] is none of the model's with an arm so long [m]; empty where it may be."""
+    if largest <= LARGE_DISPLACEMENT * arm:
+        return ""
+    return f"the pad moved by {largest:.3g} m, above {LARGE_DISPLACEMENT:g} of the arm length {arm:g} m: no squeal"
+
+
 def _home(campaign: Campaign, values: Mapping[str, float]) -> dict[str, float]:
     """What is set at a point: its factors, and all that ramps change, which one before may have left elsewhere."""
     ramped = {phase.parameter for phase in campaign.protocol if phase.kind == "ramp"}
@@ -297,11 +324,19 @@ def _levels(campaign: Campaign, first: int, last: int) -> Table:
     with np.errstate(divide="ignore"):
         level = 20.0 * np.log10(found["rms_x"] / 1e-6)
     failed = found["status"] != 0
-    table["verdict"] = np.where(failed, FAILED, np.where(level >= campaign.squeal.on_level, SQUEAL, QUIET))
+    # In contact the motion is linear: where it does not grow, what stays in contact rings, and is no squeal.
+    lasts = (found["separations"] > 0) | is_unstable(table)
+    squeals = (level >= campaign.squeal.on_level) & lasts
+    arms = [values.get(name, getattr(campaign.base, name)) for name in ("arm_length_1", "arm_length_2")]
+    arm, largest = np.minimum(*arms), np.maximum(found["peak_x"], found["peak_y"])
+    outside = np.full(len(level), "", dtype=object)
+    for i in np.flatnonzero(~failed & (largest > LARGE_DISPLACEMENT * arm)).tolist():
+        outside[i] = _outside(float(largest[i]), float(np.broadcast_to(arm, largest.shape)[i]))
+    table["verdict"] = np.where(failed | (outside != ""), FAILED, np.where(squeals, SQUEAL, QUIET))
     table["level"] = level
     for name in ("peak_x", "squeal_frequency", "growth_rate", "contact_share", "separations"):
         table["frequency" if name == "squeal_frequency" else name] = found[name].copy()
-    table["note"] = np.array(STATUS)[found["status"]] if failed.any() else np.full(len(level), "", dtype="U1")
+    table["note"] = np.where(failed, np.array(STATUS)[found["status"]], outside).astype(str)
     return table
 
 

@@ -29,6 +29,7 @@ from squeal_rig.experiments.campaign.measuring import (
     SQUEAL,
     STOPPED,
     VERDICTS,
+    VERDICTS_BY_LEVEL,
     Table,
     start_and_end,
 )
@@ -83,12 +84,19 @@ def _lead(results: Results) -> list[str]:
     lead = [f"{results.count} of {campaign.design.count} points measured {how}. {campaign.note}".strip()]
     if results.count:
         squealing, share = int(results.squealing.sum()), 100.0 * results.occurrence()
-        lead.append(
-            f"{squealing} points squeal, {share:.3g} % of those judged{_apart(results)}. Squeal is a tone of at least"
-            f" {campaign.squeal.on_level:g} dB re 1 um between {campaign.squeal.band_low:g} and"
+        what = (
+            f"a tone of at least {campaign.squeal.on_level:g} dB re 1 um between {campaign.squeal.band_low:g} and"
             f" {campaign.squeal.band_high:g} Hz that stands out of the noise beside it and lasts"
             f" {campaign.tones.least_duration:g} s; a line of white noise does so with the probability"
-            f" {campaign.tones.false_alarm:g}. Levels are of displacement: no sound pressure is known here."
+            f" {campaign.tones.false_alarm:g}"
+            if campaign.measure == EVENTS
+            else f"motion of at least {campaign.squeal.on_level:g} dB re 1 um RMS along the belt, about the equilibrium"
+            " and at all frequencies, in which the pad leaves the belt or the equilibrium is unstable: no tones are"
+            " followed"
+        )
+        lead.append(
+            f"{squealing} points squeal, {share:.3g} % of those judged{_apart(results)}. Squeal is {what}. Levels are"
+            " of displacement: no sound pressure is known here."
         )
     return lead
 
@@ -116,7 +124,8 @@ def _map_section(results: Results) -> Section:
     text = contradictions(results) or ["What was seen and what is predicted go together at every point."]
     if results.no_zone:
         text.append(f"No zones: {results.no_zone}.")
-    text += [f"{name}: {words}." for name, words in VERDICTS.items() if name in results.points["verdict"]]
+    meant = VERDICTS if results.campaign.measure == EVENTS else VERDICTS_BY_LEVEL
+    text += [f"{name}: {words}." for name, words in meant.items() if name in results.points["verdict"]]
     table = DataTable(
         "predicted", "Seen against predicted, number of points",
         ("zone by the cycles", "eigenvalues", "seen", "points"), crosstable(results),
@@ -246,12 +255,14 @@ def _friction_section(results: Results) -> Section:
         return section
     base = results.campaign.base
     rows = [[name, value, fit.half_widths[name], getattr(base, name)] for name, value in fit.coefficients.items()]
-    columns = ("coefficient", "refitted", "half of the 95 % interval", "of the rig that was set")
+    columns = ("coefficient", "refitted", "half of the 95 % interval of the scatter", "of the rig that was set")
     section.tables = [DataTable("friction_law", f"The law refitted to {fit.count} quiet points", columns, rows)]
     drift = "no drift" if abs(fit.neighbours) <= fit.bound else "a drift, or a term that the law lacks"
     section.text = [
+        "What is off alike at all points, as the zero of a torque transducer, is in no scatter: the intervals leave it"
+        " out (`friction/model` has it).",
         f"Residuals: {fit.rms:.2g} RMS, the largest {fit.largest:.2g} of their standard deviations; neighbours in the"
-        f" order correlate by {fit.neighbours:+.2f}, within {fit.bound:.2f} by chance alone: {drift}."
+        f" order correlate by {fit.neighbours:+.2f}, within {fit.bound:.2f} by chance alone: {drift}.",
     ]
     return section
 

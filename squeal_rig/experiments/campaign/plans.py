@@ -42,7 +42,7 @@ PAD_STIFFNESS = "pad_stiffness"
 _LONGEST = 86400.0
 #: Largest standard deviation of a parameter from rig to rig, as a share.
 MOST_SCATTER = 0.2
-_MOST_STEPS, _MOST_LEVELS, _MOST_REPEATS = 100_000, 100_000, 10_000
+_MOST_STEPS, _MOST_LEVELS, _MOST_REPEATS, _MOST_PHASES = 100_000, 100_000, 10_000, 100
 # What the friction coefficient of a rig follows.
 _OF_FRICTION = ("preload", "belt_speed", *COEFFICIENTS)
 _KEYS = (
@@ -366,6 +366,8 @@ def _protocol(reader: _Reader, base: RigParameters) -> tuple[Phase, ...]:
     raw = reader.raw("protocol")
     if not isinstance(raw, list) or not raw:
         reader.refuse("protocol", f"it must be a list of reset, start, hit, settle, dwell and ramp, got {raw!r}")
+    if len(raw) > _MOST_PHASES:
+        reader.refuse("protocol", f"it has {len(raw)} phases, of at most {_MOST_PHASES}")
     phases: list[Phase] = []
     for number, item in enumerate(raw, 1):
         where = f"protocol.{number}"
@@ -383,6 +385,8 @@ def _protocol(reader: _Reader, base: RigParameters) -> tuple[Phase, ...]:
         single = body if kind in ("hit", "settle", "ramp") else {kind: body}
         inner = reader.inside(f"{where}.{kind}" if kind in ("hit", "settle", "ramp") else where, single)
         phases.append(makers[kind](inner, base))
+        if sum(len(phase.values) for phase in phases) > 2 * _MOST_STEPS:
+            reader.refuse(where, f"all ramps together have more than {2 * _MOST_STEPS} steps")
     return tuple(phases)
 
 

@@ -126,7 +126,7 @@ def squeal_probability(
     values: dict[str, Any] = {
         name: _value(p, name) * (1.0 + share * generator.standard_normal(samples)) for name, share in scatter.items()
     }
-    share = float(np.mean(stability_map(p, bands=False, **values).growth_rate > 0.0))
+    share = float(np.mean(np.isfinite(stability_map(p, bands=False, **values).squeal_frequency)))
     return share, float(np.sqrt(max(share * (1.0 - share), 1.0 / samples) / samples))
 
 

@@ -6,6 +6,7 @@ measured again from its start, what it had finished never.
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import json
 import os
@@ -18,6 +19,7 @@ from typing import IO, Any
 
 import numpy as np
 
+from squeal_rig.configuration.files import only_regular
 from squeal_rig.configuration.new_files import new_file
 from squeal_rig.errors import DiskError, ExperimentError
 from squeal_rig.experiments.campaign.measuring import Table
@@ -26,6 +28,8 @@ from squeal_rig.experiments.campaign.plans import Campaign, load_campaign
 PLAN, JOURNAL = "plan.yaml", "journal.jsonl"
 TABLES = ("points", "events", "steps")
 _FILE = re.compile(rf"({'|'.join(TABLES)})/part-\d{{8,}}\.parquet")
+_LATEST = 1e11  # time of a line [s since the epoch]
+_MOST_BYTES = 1 << 28  # of a journal
 NO_EXTRA = "campaigns need more: pip install 'squeal_rig[campaign]'"
 
 
@@ -171,11 +175,11 @@ def read(folder: Path, name: str, columns: list[str] | None = None) -> Table:
 def _check_empty(folder: Path, campaign: Campaign) -> None:
     """DiskError where a folder holds anything but what this campaign left as it was killed before its first line."""
     names = {path.name for path in folder.iterdir() if not path.name.startswith(".")} if folder.is_dir() else set()
-    if PLAN in names and (folder / PLAN).read_bytes() == campaign.text.encode():
+    if PLAN in names and _read(folder / PLAN) == campaign.text.encode():
         names.discard(PLAN)
     begins, line = b'{"what": "campaign"', b""
     if JOURNAL in names:
-        line = (folder / JOURNAL).read_bytes()
+        line = _read(folder / JOURNAL)
         if b"\n" not in line and begins.startswith(line[: len(begins)]):
             names.discard(JOURNAL)
     if names and line.startswith(begins):
@@ -205,7 +209,7 @@ def _locked(path: Path) -> IO[str]:
     except OSError:
         stream.close()
         raise ExperimentError(f"the campaign in {path.parent} runs already") from None
-    data = path.read_bytes()
+    data = _read(path)
     os.truncate(path, data.rfind(b"\n") + 1)
     stream.seek(0, os.SEEK_END)
     return stream
@@ -213,25 +217,44 @@ def _locked(path: Path) -> IO[str]:
 
 def _lines(path: Path) -> Iterator[dict[str, Any]]:
     try:
-        data = path.read_bytes()
+        data = _read(path)
     except OSError:
         return
     for line in data.split(b"\n")[:-1]:
         try:
             entry = json.loads(line)
-        except ValueError:
+        except (ValueError, RecursionError):
             continue
         if isinstance(entry, dict) and isinstance(entry.get("what"), str) and _is_sound(entry):
             yield entry
 
 
+# What a line of each kind must hold, to be one of ours.
+_HOLDS: dict[str, dict[str, type]] = {
+    "chunk": {"chunk": int, "rows": int, "failed": int, "files": dict},
+    "campaign": {"plan": str, "chunk_size": int, "points": int},
+    "run ended": {"outcome": str},
+}
+
+
 def _is_sound(entry: dict[str, Any]) -> bool:
-    """Whether a line on a chunk is one of ours: it names files, which are read."""
-    if entry["what"] != "chunk":
-        return True
-    files = entry.get("files")
-    numbers = isinstance(entry.get("chunk"), int) and isinstance(entry.get("rows"), int)
-    return numbers and isinstance(files, dict) and all(_FILE.fullmatch(name) for name in files)
+    """Whether a line is one of ours: its values are used, and files that it names are read."""
+    held: dict[str, Any] = {"time": (int, float), **_HOLDS.get(entry["what"], {})}
+    given = {"failed": 0, **entry}
+    if not all(isinstance(given.get(name), kind) for name, kind in held.items()) or not 0 < entry["time"] < _LATEST:
+        return False
+    if entry["what"] == "campaign":
+        return bool(entry["chunk_size"] > 0)
+    return entry["what"] != "chunk" or all(_FILE.fullmatch(name) for name in entry["files"])
+
+
+def _read(path: Path) -> bytes:
+    """Content of a file; OSError where it is none, or longer than any journal."""
+    with open(path, "rb", opener=only_regular) as stream:
+        data = stream.read(_MOST_BYTES + 1)
+    if len(data) > _MOST_BYTES:
+        raise OSError(errno.EFBIG, f"More than {_MOST_BYTES} bytes", str(path))
+    return data
 
 
 def _to_disk(path: Path) -> None:

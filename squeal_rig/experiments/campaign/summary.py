@@ -15,7 +15,7 @@ from scipy.special import stdtrit
 
 from squeal_rig.errors import ModelError, ParameterError, RecordingError
 from squeal_rig.experiments.campaign.bench import Bench, EngineBench
-from squeal_rig.experiments.campaign.measuring import FAILED, QUIET, SQUEAL, STOPPED, Table, measure_point
+from squeal_rig.experiments.campaign.measuring import FAILED, QUIET, SQUEAL, STOPPED, Table, is_unstable, measure_point
 from squeal_rig.experiments.campaign.plans import EVENTS, Campaign
 from squeal_rig.experiments.campaign.store import header, journal, read
 from squeal_rig.model.core.law import COEFFICIENTS, friction_basis
@@ -115,7 +115,7 @@ def contradictions(results: Results) -> list[str]:
     found: list[str] = []
     if not results.count:
         return found
-    unstable = points["predicted_growth"] > 0.0
+    unstable = is_unstable(points)
     verdict = points["verdict"]
     for what, which in (
         ("unstable by the eigenvalues, and quiet", unstable & (verdict == QUIET)),
@@ -136,7 +136,7 @@ def contradictions(results: Results) -> list[str]:
 
 def crosstable(results: Results) -> list[list[Any]]:
     """Rows: zone by the cycles, eigenvalues, verdict, number of points."""
-    words = np.where(results.points["predicted_growth"] > 0.0, "unstable", "stable")
+    words = np.where(is_unstable(results.points), "unstable", "stable")
     found = Counter(zip(results.zones.tolist(), words.tolist(), results.points["verdict"].tolist(), strict=True))
     return [[*key, number] for key, number in sorted(found.items())]
 

@@ -19,6 +19,8 @@ _BEGIN = 0.97
 _POINTS = 600
 # In the pad stiffness the branch is followed down to this share of its flutter threshold.
 _SOFTEST = 1e-3
+# Share of the threshold that a branch may lie before it for its numbers alone.
+_BACK = 1e-9
 
 
 @dataclass
@@ -34,6 +36,11 @@ class HardBranch:
     separatrix: Orbit | None = None
     reason: str = ""
     found: Trace | None = None
+
+    @property
+    def is_soft(self) -> bool:
+        """Whether the branch goes from its threshold to larger values and was followed there: no squeal before it."""
+        return self.found is not None and min(o.parameter for o in self.found.orbits) >= self.threshold * (1.0 - _BACK)
 
 
 def shooter_at(path: Path, value: float, period: float, span: float) -> Shooter:

@@ -30,8 +30,14 @@ from squeal_rig.model.linear.maps import FIELDS
 from squeal_rig.model.parameters import RigParameters
 
 #: Codes of a map of zones.
-NOT_IN_CONTACT, QUIET, BISTABLE, SQUEAL = -1, 0, 1, 2
-NAMES = {NOT_IN_CONTACT: "no equilibrium in contact", QUIET: "quiet", BISTABLE: "bistable", SQUEAL: "squeal"}
+UNKNOWN, NOT_IN_CONTACT, QUIET, BISTABLE, SQUEAL = -2, -1, 0, 1, 2
+NAMES = {
+    UNKNOWN: "not known",
+    NOT_IN_CONTACT: "no equilibrium in contact",
+    QUIET: "quiet",
+    BISTABLE: "bistable",
+    SQUEAL: "squeal",
+}
 # Fields that move mu and u but not the machine.
 _OPERATING = (*COEFFICIENTS, "preload", "belt_speed")
 _NODES, _HIT_NODES = 3, 17
@@ -42,7 +48,8 @@ _MOST_MACHINES = 100_000
 class ZoneMap:
     """Zones over a grid; arrays of the grid's shape.
 
-    - zone: -1 no equilibrium in contact, 0 quiet, 1 bistable, 2 squeal (`NAMES`)
+    - zone: -1 no equilibrium in contact, 0 quiet, 1 bistable, 2 squeal (`NAMES`); -2 where a border was not found,
+      for one of `reasons`: there `zone` tells more
     - mu, fold_mu, flutter_mu: friction coefficient, and both borders in it; nan where there is none
     - smallest_hit [N s]: of the best direction; 0 where the rig squeals, nan where no hit does it; None unless asked
       for
@@ -67,6 +74,7 @@ class _Machine:
 
     fold: Vector
     flutter: Vector
+    soft: bool  # there is no fold, since the branch goes to larger mu
     border_error: float
     shares: Vector
     hit: Vector
@@ -109,17 +117,19 @@ def zone_map(p: RigParameters, hits: bool = False, threads: int | None = None, *
     with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
         machines = list(pool.map(lambda rig: _machine(rig, low, high, hits), rigs))
     fold, flutter = np.full(points, math.nan), np.full(points, math.nan)
-    scaled = np.full(points, math.nan)
+    scaled, soft = np.full(points, math.nan), np.zeros(points, dtype=bool)
     for i, machine in enumerate(machines):
         mine = which == i
         fold[mine] = _polynomial(machine.fold, low, high, preload[mine])
         flutter[mine] = _polynomial(machine.flutter, low, high, preload[mine])
+        soft[mine] = machine.soft
         if hits and len(machine.shares):
             share = (mu[mine] - fold[mine]) / (flutter[mine] - fold[mine])
             scaled[mine] = _monotone(machine.shares, machine.hit, share)
     compression = _compressions(values, points)
     zone = np.full(points, QUIET, dtype=np.int8)
     zone[mu >= fold] = BISTABLE
+    zone[~np.isfinite(flutter) | (~np.isfinite(fold) & ~soft)] = UNKNOWN
     zone[mu >= flutter] = SQUEAL
     zone[~np.isfinite(compression)] = NOT_IN_CONTACT
     smallest = None
@@ -171,7 +181,7 @@ def _machine(rig: RigParameters, low: float, high: float, hits: bool) -> _Machin
                 guess = float(_monotone(shares, hit, np.array([between]))[0])
                 hit_error = max(hit_error, abs(guess / _scaled_hit(rig, preload, middle, float(between)) - 1.0))
         shares, hit = np.append(shares, 1.0), np.append(hit, 0.0)
-    return _Machine(fold, flutter, error, shares, hit, hit_error, reason)
+    return _Machine(fold, flutter, all(b.is_soft for b in branches), error, shares, hit, hit_error, reason)
 
 
 def _at(rig: RigParameters, preload: float) -> Path:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from squeal_rig.model.core.law import friction_coefficient
 from squeal_rig.model.core.statics import equilibrium
 from squeal_rig.model.cycles.border import fold_below, hard_branch
-from squeal_rig.model.cycles.cycle import DIES_OUT, FOUND, LEFT_BOUNDS, SquealCycle, cycle_of, squeal_cycle
+from squeal_rig.model.cycles.cycle import FOUND, LONGER, QUASI_PERIODIC, SquealCycle, cycle_of, squeal_cycle
 from squeal_rig.model.cycles.path import PAD_STIFFNESS, Path, refuse_what_has_no_cycles
 from squeal_rig.model.cycles.shooting import Orbit
 from squeal_rig.model.cycles.threshold import growth
@@ -76,10 +76,11 @@ class Located:
 def zone(p: RigParameters) -> Zone:
     """Zone of an operating point with the distances to both borders.
 
-    The flutter border is where an eigenvalue at the exact equilibrium begins to grow. The other one is the fold of the
-    branch of cycles that begins there, followed in mu0 and in the pad stiffness (k1 and k2 at their ratio, down to a
-    thousandth of the flutter threshold). Where no friction makes the rig flutter, motions from 1 to 10 static
-    compressions decide. Squeal on branches that no flutter threshold belongs to is not excluded by "quiet".
+    The flutter border is where an eigenvalue at the exact equilibrium begins to grow. The other one is the fold of
+    the branch of cycles that begins there, followed in mu0 and in the pad stiffness (k1 and k2 at their ratio, down
+    to a thousandth of the flutter threshold). Where no friction within its bounds makes the rig flutter, the branch
+    in the pad stiffness decides, and without one motions from 1 to 10 static compressions. Squeal on branches that
+    no flutter threshold belongs to is not excluded by "quiet".
 
     Raises:
         ModelError: the rig is refused (friction that sees the slip, no damping), or has no equilibrium in contact.
@@ -107,19 +108,20 @@ def located(p: RigParameters) -> Located:
         # No flutter threshold at this friction, yet squeal: its branch in k has a fold all the same.
         fold_in_k = fold_below(in_k, mu.squeal)
     unstable = growth(in_mu.packed(in_mu.value)) > 0.0
-    cycle = None
-    if mu.squeal is not None:
-        cycle = cycle_of(in_mu, mu.squeal)
-    if (unstable and cycle is None) or not math.isfinite(mu.threshold) or (cycle is not None and not cycle.stable):
+    path, branch = (in_k, k) if mu.squeal is None and not math.isfinite(mu.threshold) else (in_mu, mu)
+    cycle = None if branch.squeal is None else cycle_of(path, branch.squeal)
+    endless = False
+    if (not cycle.stable) if cycle is not None else unstable or not math.isfinite(branch.threshold):
         settled = squeal_cycle(p)
         if settled.ending != FOUND:
             reasons.append(f"no stable cycle: {settled.sentence}")
+        endless = settled.ending in (LONGER, QUASI_PERIODIC)
         if settled.found:
             cycle = settled
-        elif settled.ending in (DIES_OUT, LEFT_BOUNDS):
+        elif not endless:
             cycle = None
-    name = SQUEAL if unstable else BISTABLE if cycle is not None else QUIET
-    separatrix = mu.separatrix if name == BISTABLE else None
+    name = SQUEAL if unstable else BISTABLE if cycle is not None or endless else QUIET
+    separatrix = branch.separatrix if name == BISTABLE else None
     friction = friction_coefficient(p)
     offset = friction - in_mu.value
     found = Zone(
@@ -131,7 +133,7 @@ def located(p: RigParameters) -> Located:
         fold_in_k,
         k.threshold,
         cycle,
-        None if separatrix is None else cycle_of(in_mu, separatrix),
+        None if separatrix is None else cycle_of(path, separatrix),
         tuple(reasons),
     )
-    return Located(found, mu.squeal, separatrix)
+    return Located(found, branch.squeal, separatrix)

@@ -3,7 +3,7 @@
 
 const page = (() => {
   const $ = (id) => document.getElementById(id);
-  const zones = { q: ["quiet", "quiet"], b: ["bistable", "bistable"], s: ["squeal", "squeal"], "-": ["no contact", "none"] };
+  const zones = { q: ["quiet", "quiet"], b: ["bistable", "bistable"], s: ["squeal", "squeal"], "-": ["no contact", "none"], "?": ["not known", "none"] };
   let hello = null, state = null, frame = null, map = null, socket = null, wait = 250, dirty = true, heard = 0;
   let frames = 0, commandsOpen = 0, stopsOpen = 0;
   const held = {};
@@ -113,7 +113,7 @@ const page = (() => {
     $("read-only").hidden = head.control;
     if (!live) { $("time").max = head.duration; link("recording, read-only", "ok"); seek(); }
     if (first) build(head.declared);
-    for (const part of document.querySelectorAll("[data-do], #set-points button, #supervisor-reset button")) part.disabled = !head.control;
+    for (const part of document.querySelectorAll("[data-do], #set-points button, #supervisor-reset button, #springs-fitted button")) part.disabled = !head.control;
   }
 
   const common = ["preload", "belt_speed", "k1", "k2", "impact_impulse", "impact_direction"];
@@ -270,6 +270,7 @@ const page = (() => {
 
   function showRun(run, live) {
     $("run-progress").hidden = !(run && run.of && !run.ended);
+    $("springs-fitted").hidden = !live || !run || run.gone || Boolean(run.ended);
     $("run-last").textContent = run && run.last ? `last: ${run.last}` : "";
     if (!run) { $("run-state").textContent = "none runs"; return; }
     const one = run.kind === "campaign" ? "point" : "step";
@@ -304,7 +305,7 @@ const page = (() => {
         }
       }
       pen.textAlign = "center"; pen.textBaseline = "middle"; pen.font = "bold 13px system-ui, 'DejaVu Sans', sans-serif";
-      for (const key of "qbs") {  // named in the picture: colours alone are not for everybody
+      for (const key of "qbs?") {  // named in the picture: colours alone are not for everybody
         let count = 0, sx = 0, sy = 0;
         rows.forEach((row, r) => { for (let c = 0; c < columns; c++) if (row[c] === key) { count++; sx += c; sy += r; } });
         if (count < 0.01 * rows.length * columns) continue;
@@ -413,6 +414,10 @@ const page = (() => {
     $("supervisor-reset").addEventListener("submit", (event) => {
       event.preventDefault();
       command({ do: "supervisor_reset", reason: event.target.reason.value });
+    });
+    $("springs-fitted").addEventListener("submit", (event) => {
+      event.preventDefault();
+      command({ do: "springs_fitted", name: event.target.name.value });
     });
     $("sound").addEventListener("click", () => {
       const on = !sound.running();

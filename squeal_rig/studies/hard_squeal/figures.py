@@ -15,7 +15,7 @@ from squeal_rig.model.core.law import friction_coefficient
 from squeal_rig.model.cycles.branch import Branch
 from squeal_rig.model.cycles.path import PAD_STIFFNESS
 from squeal_rig.model.cycles.tracing import FLUTTER
-from squeal_rig.model.cycles.zone_map import BISTABLE, NOT_IN_CONTACT, QUIET, SQUEAL
+from squeal_rig.model.cycles.zone_map import BISTABLE, NOT_IN_CONTACT, QUIET, SQUEAL, UNKNOWN
 from squeal_rig.model.parameters import RigParameters
 from squeal_rig.report.paper_style import Picture, picture
 from squeal_rig.studies.hard_squeal.branches import Diagram, Values, from_rest, normal_force
@@ -23,6 +23,7 @@ from squeal_rig.studies.hard_squeal.chart import Chart
 
 #: Fill and hatch of each zone, distinct in grey too.
 _FILLS = {
+    UNKNOWN: ("none", "not known", ".."),
     NOT_IN_CONTACT: ("none", "no contact", "xx"),
     QUIET: ("#ffffff", "quiet whatever happens", ""),
     BISTABLE: ("#d9e6f2", "bistable: quiet until hit", ""),
@@ -335,7 +336,7 @@ def _zone_legend(axis: Any, codes: list[int]) -> None:
 def _chart_legend(axis: Any, chart: Chart) -> None:
     from matplotlib.lines import Line2D
 
-    codes = [QUIET, BISTABLE, SQUEAL] + [NOT_IN_CONTACT] * (chart.share(NOT_IN_CONTACT) > 0.0)
+    codes = [QUIET, BISTABLE, SQUEAL, *(code for code in (NOT_IN_CONTACT, UNKNOWN) if chart.share(code) > 0.0)]
     patches = _patches(codes)
     for patch, code in zip(patches, codes, strict=True):
         patch.set_label(f"{patch.get_label()}, {chart.share(code):.0%}")
