@@ -130,3 +130,36 @@ def test_a_sensitivity_error_widens_the_interval_and_more_windows_do_not_narrow_
         # One uniform error: 95 % of its bound, which is a share of the coefficient.
         assert widths[0][name] == pytest.approx(0.95 * 0.01 * abs(getattr(p, name)), rel=0.01)
         assert widths[1][name] == pytest.approx(widths[0][name], rel=1e-3)
+
+
+@pytest.mark.parametrize("n", [4, 20, 60])
+def test_the_factor_of_a_short_record_is_that_of_the_formula(n: int):
+    """Each lag with the mean of its n - k products, of which the formula takes the share 1 - k/n, once."""
+    values = np.arange(n, dtype=float)
+    residuals = values - values.mean()
+    known, power = 1.0, float(residuals @ residuals)
+    for lag in range(1, n // 3 + 1):
+        pairs = residuals[lag:] @ residuals[:-lag]
+        if pairs <= 0.0:
+            break
+        rho = pairs / (n - lag) / (power / n)
+        known += 2.0 * (1.0 - lag / n) * rho
+    assert correlation_factor(residuals) == pytest.approx(known, rel=1e-12)
+
+
+def test_a_point_of_few_windows_counts_little_whichever_channel_is_noisy():
+    """Four points, one of them seen twice: its own scatter, not that of a hundred windows, is in the coefficients."""
+    p, rng = RIG.parameters, np.random.default_rng(5)
+    rig = dataclasses.replace(RIG, noise={"motor_torque": 0.1}, offset_error={}, gain_error={})
+    layout, inside, trials = [(1.0, 50.0), (1.0, 200.0), (4.0, 50.0), (4.0, 200.0)], 0, 300
+    for _ in range(trials):
+        regression = FrictionRegression()
+        regression.take_rig(rig, 5120, 1.0)
+        for place, (v, f) in enumerate(layout):
+            for mu in friction_coefficient(p, v, f) + 0.01 * rng.normal(size=2 if place == 3 else 100):
+                regression.add(v, f, mu)
+        model = regression.fit()
+        inside += (
+            abs(model.coefficients["mu_speed_preload"] - p.mu_speed_preload) <= model.half_widths["mu_speed_preload"]
+        )
+    assert 0.88 < inside / trials < 0.99

@@ -135,3 +135,8 @@ def test_a_displacement_that_is_no_number_is_neither_quiet_nor_loud():
     tenth = len(levels) // 3
     assert math.isnan(levels[2 * tenth - 1])
     assert levels[-1] == pytest.approx(-60.0 - 3.01, abs=0.1)
+
+
+def test_a_window_too_short_for_the_band_is_refused():
+    with pytest.raises(ParameterError, match=r"no line of a window of 0\.02 s lies between 1010 and 1040 Hz"):
+        SquealDetector(51200, SquealSettings(band_low=1010.0, band_high=1040.0, window=0.02))

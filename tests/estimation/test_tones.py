@@ -172,3 +172,16 @@ def test_the_literal_band_of_a_sound_procedure_is_refused_and_says_why():
     assert harmonics_inside(970.0, 2000.0, 6000.0) == [3, 4, 5, 6]
     assert harmonics_inside(math.nan, 1.0, 2.0) == []
     assert REFERENCES == 32
+
+
+def test_short_tones_are_no_events_in_the_count_whatever_ends_them():
+    follower = SquealEvents(RATE, SquealSettings(), ToneSettings(least_duration=0.3))
+    x = sine(1000.0, 1e-6, 2.0)
+    x[RATE : RATE + WINDOW] += sine(2300.0, 1e-6, 0.1) + sine(3100.0, 1e-6, 0.1)  # two, seen in a window or two
+    for start in range(0, len(x), 512):
+        follower.add_signal(x[start : start + 512])
+    assert [round(event.frequency) for event in follower.current] == [1000]
+    assert follower.count == 1
+    follower.add_signal(sine(2300.0, 1e-6, 0.1))
+    follower.finish()
+    assert follower.count == 1

@@ -2,11 +2,12 @@
 
 import json
 import math
+import os
 
 import numpy as np
 import pytest
 
-from squeal_rig.errors import DiskError, ExperimentError
+from squeal_rig.errors import ConfigurationError, DiskError, ExperimentError
 from squeal_rig.experiments.campaign.measuring import BACK, OUT, measure_point, start_and_end
 from squeal_rig.experiments.campaign.pages import write_campaign_report
 from squeal_rig.experiments.campaign.plans import load_campaign, parse_campaign
@@ -131,3 +132,70 @@ def test_a_scheduler_that_is_none_is_told_in_a_sentence(tmp_path, address):
             run_direct(store, Where(scheduler=address), lambda progress: None)
     finally:
         store.close()
+
+
+def test_a_motion_that_leaves_the_model_is_no_squeal():
+    row = measure_point(parse_campaign(PLAIN, "plan"), {"preload": 60.0}, MadeBench(lambda t: 2e-3)).row
+    assert row["verdict"] == "failed"
+    assert row["note"].startswith("the pad moved by 0.002 m, above 0.01 of the arm length 0.1 m")
+    row = measure_point(parse_campaign(PLAIN, "plan"), {"preload": 60.0}, MadeBench(lambda t: 5e-4)).row
+    assert row["verdict"] == "squeal"
+
+
+def test_by_level_what_rings_in_contact_and_what_leaves_the_model_is_no_squeal(tmp_path):
+    plan = """
+campaign: undamped
+measure: level
+rig: {preload: 300.0, pad_stiffness: 1.0e+7}
+factors: {belt_speed: [1.0, 4.0]}
+protocol: [{start: 0.5}, {dwell: 0.2}]
+"""
+    rings = finished(tmp_path / "rings", plan)
+    assert np.all(rings["level"] > -12.0)
+    assert rings["verdict"].tolist() == ["quiet", "quiet"]
+    text = write_campaign_report(tmp_path / "rings").read_text(encoding="utf-8")
+    assert "no tones are followed" in text.replace("\n", " ")
+    assert "stands out of the noise" not in text
+    far = finished(tmp_path / "far", plan.replace("1.0e+7", "6.0e+7").replace("0.5}", "30.0}").replace("0.2}", "2.0}"))
+    assert (np.maximum(far["peak_x"], 0.0) > 1e-3).any()
+    assert [v for v, x in zip(far["verdict"], far["peak_x"], strict=True) if x > 1e-3] == ["failed"] * int(
+        np.sum(far["peak_x"] > 1e-3)
+    )
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        {"what": "run ended"},
+        {"what": "campaign", "plan": "x", "points": 3},
+        {"what": "campaign", "plan": "x", "points": 3, "chunk_size": 0, "time": 1.0},
+        {"what": "chunk", "chunk": 0, "rows": 4, "failed": "x", "files": {}, "time": 1.0},
+        {"what": "run started", "time": 1e300},
+    ],
+)
+def test_lines_that_would_be_ours_and_lack_something_are_passed_over(tmp_path, line):
+    folder = tmp_path / "levels"
+    finished(folder)
+    with (folder / JOURNAL).open("a") as stream:
+        stream.write(json.dumps(line) + "\n" + "[" * 100_000 + "\n")
+    assert "it ended: done" in status(folder)[-1]
+    write_campaign_report(folder)
+    Store.resume(folder).close()
+
+
+def test_a_journal_that_is_no_file_is_not_waited_for(tmp_path):
+    finished(tmp_path / "levels")
+    (tmp_path / "levels" / JOURNAL).unlink()
+    os.mkfifo(tmp_path / "levels" / JOURNAL)
+    for act in (status, Store.resume):
+        with pytest.raises(ExperimentError, match="holds no campaign"):
+            act(tmp_path / "levels")
+
+
+def test_ramps_that_are_too_long_together_are_refused_before_they_are_made():
+    ramp = "{ramp: {parameter: preload, from: 1.0, to: 2.0, steps: 100000, hold: 1.0}}"
+    for count, sentence in ((3, "all ramps together have more than 200000 steps"), (800, "it has 800 phases")):
+        with pytest.raises(ConfigurationError, match=sentence):
+            parse_campaign(
+                f"campaign: long\nfactors: {{preload: [60.0]}}\nprotocol: [{', '.join([ramp] * count)}]\n", "p"
+            )

@@ -19,6 +19,7 @@ from squeal_rig.model import (
 )
 from squeal_rig.model.cycles.safe import response_bounds
 from squeal_rig.model.cycles.verdict import OUTLASTS, QUIET, SETTLES, judge
+from squeal_rig.model.cycles.zone_map import BISTABLE, NAMES, UNKNOWN
 from squeal_rig.model.cycles.zones import located
 from squeal_rig.model.linear.eigen import state_matrix
 
@@ -266,3 +267,26 @@ def test_wrong_arguments_are_refused_by_a_sentence():
     for function in (smallest_hit, safe_hit, basin_share, zone_map):
         with pytest.raises(ModelError, match="nothing dies out"):
             function(RigParameters())
+
+
+def test_a_rig_without_a_flutter_threshold_within_the_bounds_of_mu_is_not_called_quiet():
+    """At 2000 N s/m and so soft the threshold is at mu = 11, beyond the bound of mu0; the fold in k is at 1.03e6."""
+    p = damped(2000, pad_stiffness=1.2e6)
+    found = zone(p)
+    assert found.fold_pad_stiffness == pytest.approx(1.03e6, rel=0.01)
+    assert math.isnan(found.flutter_mu)
+    assert (found.name, found.squeal.stable, found.separatrix is not None) == ("bistable", True, True)
+    assert share_on_belt_after(p, found.squeal.state, 1.0) < 0.9999
+    assert zone(p.replace(pad_stiffness=1.0e6)).name == "quiet"
+    mapped = zone_map(p, pad_stiffness=[1.0e6, 1.2e6, 4e7])
+    assert mapped.zone.tolist() == [QUIET, BISTABLE, BISTABLE]
+    assert next(iter(mapped.reasons)).startswith("no mu0 within its bounds makes the equilibrium flutter")
+
+
+def test_a_map_does_not_know_a_zone_that_changes_between_borders_that_it_does_not_know():
+    p = damped(2000, pad_stiffness=1.2e6)
+    law = {"mu_speed": 0.0, "mu_preload": 0.0, "mu_speed_preload": 0.0}
+    mapped = zone_map(p.replace(**law), mu0=[0.01, 0.35])  # no squeal at the first
+    assert zone(p.replace(**law, mu0=0.01)).name == "quiet"
+    assert mapped.zone.tolist() == [UNKNOWN, UNKNOWN]
+    assert NAMES[UNKNOWN] == "not known"

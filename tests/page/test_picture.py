@@ -66,3 +66,16 @@ def test_trends_of_a_short_bag_span_the_bag():
     columns = np.frombuffer(arrays["spectrogram"], np.uint8).reshape(head["columns"], COLUMN_LINES)
     assert len(columns) == int(4.0 * duration) + 1  # one a quarter of a second
     assert len({bytes(column) for column in columns[1:]}) == len(columns) - 1  # each read by itself
+
+
+def test_names_of_strangers_take_no_place_of_this_rigs_nodes():
+    picture = Picture(control=False)
+    for k in range(200):
+        picture.take_health(f"x{k}", (0, "running", {}))
+    for name in ("rig", "supervisor", "recorder"):
+        picture.take_health(name, (0, "running", {}))
+    for k in range(200):
+        picture.take_health(f"y{k}", (0, "running", {}))
+    names = [node["name"] for node in unpacked(picture.state())[0]["nodes"]]
+    assert {"rig", "supervisor", "recorder"} < set(names)
+    assert len(names) == 64

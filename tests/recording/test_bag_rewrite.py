@@ -64,6 +64,7 @@ def test_a_cut_by_topic_leaves_the_others_out(bag, tmp_path):
     [
         ({"start": 100.0}, "not within the bag"),
         ({"start": 1.0, "end": 0.5}, "not within the bag"),
+        ({"end": float("nan")}, "not within the bag"),
         ({"topics": ["nothing"]}, "No topic"),
     ],
 )
@@ -95,3 +96,8 @@ def test_bags_that_overlap_are_merged_in_the_order_of_time(tmp_path):
 def test_one_bag_alone_is_no_merge(bag, tmp_path):
     with pytest.raises(RecordingError, match="two or more"):
         merge([bag[0]], tmp_path / "out")
+
+
+@pytest.mark.parametrize("end", [1e300, float("inf")])
+def test_a_cut_to_an_end_beyond_all_is_one_to_the_end(bag, tmp_path, end):
+    assert cut(bag[0], tmp_path / "piece", 1.0, end) == cut(bag[0], tmp_path / "other", 1.0)

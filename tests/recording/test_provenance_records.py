@@ -1,5 +1,7 @@
 """What a bag tells about its run: facts that come late, parameters and their changes, in every file."""
 
+import time
+
 import pytest
 from bag_making import START, block_cdr
 
@@ -68,3 +70,23 @@ def test_facts_that_came_late_survive_a_kill(tmp_path):
 
 def test_numbers_of_messages_go_on_over_the_files_of_a_bag(split_bag):
     assert [message.sequence for message in Bag(split_bag).messages()] == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize(
+    ("value", "sentence"),
+    [([0.5] * 1_000_000, "left out: 1000000 values"), ("x" * 10**7, "left out: 10000000 characters")],
+)
+def test_a_value_that_would_hold_the_recorder_up_is_left_out_and_the_others_are_not(value, sentence):
+    log = ParameterLog()
+    begin = time.monotonic()
+    _, record = log.at_start("/other", {"before": 1, "large": value, "after": "there"}, 5)
+    expected = {"before": 1, "large": sentence, "after": "there"}
+    assert parameters_of(record)[2] == expected
+    _, record = log.changed("/other", {"large": value}, (), 6)
+    assert parameters_of(record)[2] == {"large": sentence}
+    assert parameters_of(log.current(7)[0][1])[2] == expected
+    _, record = log.at_start("/many", {f"parameter_{k}": 0.5 for k in range(100_000)}, 8)
+    kept = parameters_of(record)[2]
+    assert kept.pop("left out") == f"{100_000 - len(kept)} parameters"
+    assert 1000 < len(kept) < 10_000
+    assert time.monotonic() - begin < 60.0  # minutes without the bound

@@ -100,19 +100,29 @@ def test_the_run_falls_into_quiet_and_squeal(bag: Path):
     assert 0.5 < squeal["off belt share"] < 0.65
 
 
-def record(path: Path, parameters: RigParameters, steps: dict[int, str], blocks: int) -> Path:
+def record(
+    path: Path,
+    parameters: RigParameters,
+    steps: dict[int, str],
+    blocks: int,
+    with_truth: bool = False,
+    settings: RigSettings | None = None,
+) -> Path:
     """A bag of the virtual rig's samples, with impacts and resets at given blocks."""
-    rig = Acquisition(VirtualRig(), parameters, RigSettings())
+    rig = Acquisition(VirtualRig(), parameters, settings or RigSettings())
     rig.start(10**18)
     with BagWriter(path) as writer:
         description = writer.add_topic("/rig/description", STRING.type_name, schema=STRING)
         daq = writer.add_topic("/daq/samples", CLOUD.type_name, schema=CLOUD)
+        truth = writer.add_topic("/truth/samples", CLOUD.type_name, schema=CLOUD) if with_truth else None
         writer.write(description, string_cdr(RigDescription(parameters).to_yaml()), 10**18, 10**18)
         for number in range(blocks):
             if number in steps:
                 getattr(rig, steps[number])()
             block = rig.next_block()
             writer.write(daq, cdr_from_samples(block.daq, block.stamp), block.stamp, block.stamp)
+            if truth is not None:
+                writer.write(truth, cdr_from_samples(block.truth, block.stamp), block.stamp + 1, block.stamp)
     rig.close()
     return path
 
@@ -231,3 +241,29 @@ def test_a_rig_that_was_started_again_is_no_gap_of_2_to_the_32(tmp_path: Path):
     assert np.all(np.diff(starts) > 0.19)
     assert starts[-1] > 0.9
     assert np.max(analysis.course.window_column("t_end")) <= 1.5 + 1e-9
+
+
+@pytest.mark.parametrize("with_truth", [True, False])
+def test_a_slow_ring_down_is_no_hard_squeal(tmp_path: Path, with_truth: bool):
+    """At c = 5 N s/m free motion falls by 1.9 dB/s only, and is above the level of squeal for seconds."""
+    p = RigParameters().replace(damping_x=5.0, damping_y=5.0)
+    settings = RigSettings(impact_impulse=0.04, impact_direction=0.0)
+    path = record(tmp_path / "bag", p, {30: "impact"}, 300, with_truth, settings)
+    loud = [s for s in analyse_bag(path).segments if s.squealing]
+    assert loud
+    assert all(s.rings_down and not s.hard_squeal for s in loud)
+
+
+def test_no_spectrum_goes_across_a_gap(bag: Path, tmp_path: Path):
+    from squeal_rig.recording import Bag
+
+    source, cut = Bag(bag), tmp_path / "cut"
+    with BagWriter(cut) as writer:
+        handles = {"/daq/samples": writer.add_topic("/daq/samples", CLOUD.type_name, schema=CLOUD)}
+        handles["/rig/description"] = writer.add_topic("/rig/description", STRING.type_name, schema=STRING)
+        for number, message in enumerate(source.messages(list(handles))):
+            if number != 240:
+                writer.write(handles[message.topic], message.data, message.log_time, message.publish_time)
+    squeal = analyse_bag(cut).segments[-1]
+    assert squeal.squealing
+    assert len(squeal.signal) == 260 - 240

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from squeal_rig.instruments.channels import DAQ_RECORD
+from squeal_rig.instruments.description import RigDescription
+from squeal_rig.model import RigParameters
 from squeal_rig.recording import cdr_from_samples
 
 pytest.importorskip("rclpy")
@@ -18,30 +20,39 @@ def graph(domain, monkeypatch):
     monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     node = LiveGraph(lambda: None)
+    _describe(node, RigDescription(RigParameters(), sample_rate=_RATE).to_yaml())
     yield node
     node.close()
 
 
-def _block(seq):
+def _describe(graph, text):
+    from std_msgs.msg import String
+
+    graph._on_description(String(data=text))
+
+
+def _block(number, place=None):
+    """Block of that number, stamped as at a place in time: by its number where it has none."""
     daq = np.zeros(_ROWS, DAQ_RECORD)
     daq["t"] = np.arange(_ROWS) / _RATE
-    daq["seq"] = np.arange(seq, seq + _ROWS) % 2**32
-    return cdr_from_samples(daq, 10**18)
+    daq["seq"] = np.arange(number * _ROWS, (number + 1) * _ROWS) % 2**32
+    return cdr_from_samples(daq, 10**18 + (number if place is None else place) * _ROWS * 10**9 // _RATE)
 
 
 @pytest.mark.parametrize(
     ("numbers", "blocks"),
     [
-        ((0, 1, 2), 3),
-        ((5, 6, 9), 5),  # two were lost
-        ((100, 101, 0, 1), 4),  # a rig started again
-        ((2**23 - 1, 0, 1), 3),  # numbers wrap
-        ((7, 7), 2),  # a replay begun again
+        (((0, 0), (1, 1), (2, 2)), 3),
+        (((5, 0), (6, 1), (9, 4)), 5),  # two were lost
+        (((100, 0), (101, 1), (0, 9), (1, 10)), 4),  # a rig started again
+        (((2**23 - 1, 0), (0, 1), (1, 2)), 3),  # numbers wrap
+        (((7, 0), (7, 0)), 2),  # a replay begun again
+        (((7, 0), (2**22, 1), (8, 1)), 3),  # numbers that jump and are no time, as of another rig
     ],
 )
 def test_sampled_time_counts_lost_blocks_and_no_more(graph, numbers, blocks):
-    for number in numbers:
-        graph._on_daq(_block(number * _ROWS))
+    for number, place in numbers:
+        graph._on_daq(_block(number, place))
     assert graph.sampled_time() == pytest.approx(blocks * _ROWS / _RATE)
 
 
@@ -125,3 +136,54 @@ def test_the_recorder_is_waited_for_on_what_it_records_of_the_estimator(tmp_path
     assert recorded == {"daq/samples": 6, "friction/samples": 0, "friction/windows": 2, "friction/mu": 0}
     config.write_text("{}\n")
     assert _wanted_listeners(SessionOptions(config, bag), 6)["friction/samples"] == 1
+
+
+def test_time_stands_still_where_no_rate_is_known_and_nobody_else_can_change_it(graph):
+    daq = np.zeros(_ROWS, DAQ_RECORD)
+    daq["t"], daq["seq"] = np.arange(_ROWS) * 1000.0, np.arange(_ROWS)
+    graph._on_daq(cdr_from_samples(daq, 10**18))
+    assert graph.sampled_time() == pytest.approx(_ROWS / _RATE)
+
+
+def test_a_description_that_is_none_leaves_the_one_before(graph):
+    for text in ("x", "", "[1", "sample_rate: fast"):
+        _describe(graph, text)
+    assert graph.description.parameters == RigParameters()
+
+
+def test_windows_are_kept_where_they_are_asked_for(graph):
+    from squeal_rig.instruments.channels import FRICTION_WINDOW_RECORD
+
+    window = cdr_from_samples(np.zeros(1, FRICTION_WINDOW_RECORD), 10**18)
+    graph._on_window(window)
+    assert graph.windows == []
+    graph.keeps_windows = True
+    graph._on_window(window)
+    assert [found.base is None for found in graph.windows] == [True]  # no view that keeps the message
+
+
+def test_health_of_other_rigs_is_none_of_ours(graph):
+    _told(graph, "b/rig", daq__samples=9)
+    _told(graph, "b/friction_estimator", friction__windows=9)
+    assert graph.state.listeners == {}
+    assert graph.state.health == {}
+    from squeal_rig.graph.conversions import OK, diagnostics, status
+    from squeal_rig.graph.health import LISTENERS
+    from squeal_rig.safety.supervisor import STATE_KEY
+
+    graph._on_health(diagnostics(0, status(OK, "b/rig", "", {STATE_KEY: "inactive"})))
+    assert graph.state.rig_state == ""
+    graph._on_health(diagnostics(0, status(OK, "rig", "", {LISTENERS + "daq/samples": "none", STATE_KEY: "active"})))
+    assert (graph.state.listeners, graph.state.rig_state) == ({"daq/samples": 0}, "active")
+    for k in range(3000):
+        _told(graph, f"x{k}", **{f"t{k}": 1})
+    assert len(graph.state.health) <= 1000
+    assert len(graph.state.listeners) <= 1000
+
+
+def test_a_domain_that_is_none_is_a_sentence(in_process, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    for domain in ("abc", "300"):
+        monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+        code, _, errors = in_process("run", "--duration", "1", "--no-record")
+        assert (code, errors.count("\n")) == (2, 1), errors

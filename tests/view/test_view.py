@@ -92,7 +92,7 @@ def test_a_line_of_the_spectrum_is_not_lost_where_there_are_more_lines_than_are_
     lines = spectrum_lines(x, RATE, 20_000.0, 200)
     assert len(lines.levels) <= 200
     top = int(np.argmax(lines.levels))
-    assert lines.levels[top] == pytest.approx(20.0 * math.log10(3.0), abs=1e-3)
+    assert lines.levels[top] == pytest.approx(20.0 * math.log10(3.0 / math.sqrt(2.0)), abs=1e-3)
     assert lines.frequencies[top] <= 2200.0 < lines.frequencies[top + 1]
 
 

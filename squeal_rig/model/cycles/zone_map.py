@@ -26,6 +26,7 @@ from squeal_rig.model.core.statics import FOUND, rest_position
 from squeal_rig.model.cycles.border import HardBranch, hard_branch
 from squeal_rig.model.cycles.hits import smallest_hit
 from squeal_rig.model.cycles.path import Path, refuse_what_has_no_cycles
+from squeal_rig.model.cycles.zones import zone
 from squeal_rig.model.linear.maps import FIELDS
 from squeal_rig.model.parameters import RigParameters
 
@@ -49,7 +50,7 @@ class ZoneMap:
     """Zones over a grid; arrays of the grid's shape.
 
     - zone: -1 no equilibrium in contact, 0 quiet, 1 bistable, 2 squeal (`NAMES`); -2 where a border was not found,
-      for one of `reasons`: there `zone` tells more
+      for one of `reasons`, and `zone` says different things over the range of mu
     - mu, fold_mu, flutter_mu: friction coefficient, and both borders in it; nan where there is none
     - smallest_hit [N s]: of the best direction; 0 where the rig squeals, nan where no hit does it; None unless asked
       for
@@ -74,7 +75,7 @@ class _Machine:
 
     fold: Vector
     flutter: Vector
-    soft: bool  # there is no fold, since the branch goes to larger mu
+    elsewhere: int  # zone of points that neither border tells
     border_error: float
     shares: Vector
     hit: Vector
@@ -115,26 +116,28 @@ def zone_map(p: RigParameters, hits: bool = False, threads: int | None = None, *
     low, high = float(preload.min()), float(preload.max())
     rigs = [p.replace(**dict(zip(names, row.tolist(), strict=True))) for row in unique]
     with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
-        machines = list(pool.map(lambda rig: _machine(rig, low, high, hits), rigs))
+        ranges = [(float(mu[which == i].min()), float(mu[which == i].max())) for i in range(len(rigs))]
+        machines = list(pool.map(lambda rig, span: _machine(rig, low, high, hits, span), rigs, ranges))
     fold, flutter = np.full(points, math.nan), np.full(points, math.nan)
-    scaled, soft = np.full(points, math.nan), np.zeros(points, dtype=bool)
+    scaled, elsewhere = np.full(points, math.nan), np.full(points, QUIET, dtype=np.int8)
     for i, machine in enumerate(machines):
         mine = which == i
         fold[mine] = _polynomial(machine.fold, low, high, preload[mine])
         flutter[mine] = _polynomial(machine.flutter, low, high, preload[mine])
-        soft[mine] = machine.soft
+        elsewhere[mine] = machine.elsewhere
         if hits and len(machine.shares):
             share = (mu[mine] - fold[mine]) / (flutter[mine] - fold[mine])
             scaled[mine] = _monotone(machine.shares, machine.hit, share)
     compression = _compressions(values, points)
-    zone = np.full(points, QUIET, dtype=np.int8)
-    zone[mu >= fold] = BISTABLE
-    zone[~np.isfinite(flutter) | (~np.isfinite(fold) & ~soft)] = UNKNOWN
-    zone[mu >= flutter] = SQUEAL
-    zone[~np.isfinite(compression)] = NOT_IN_CONTACT
+    zones = np.full(points, QUIET, dtype=np.int8)
+    zones[mu >= fold] = BISTABLE
+    unbounded = ~np.isfinite(fold) | ~np.isfinite(flutter)
+    zones[unbounded] = elsewhere[unbounded]
+    zones[mu >= flutter] = SQUEAL
+    zones[~np.isfinite(compression)] = NOT_IN_CONTACT
     smallest = None
     if hits:
-        smallest = np.where(zone == SQUEAL, 0.0, np.where(zone == BISTABLE, scaled * compression, math.nan)).reshape(
+        smallest = np.where(zones == SQUEAL, 0.0, np.where(zones == BISTABLE, scaled * compression, math.nan)).reshape(
             shape
         )
     reasons: dict[str, int] = {}
@@ -142,7 +145,7 @@ def zone_map(p: RigParameters, hits: bool = False, threads: int | None = None, *
         if machine.reason:
             reasons[machine.reason] = reasons.get(machine.reason, 0) + 1
     return ZoneMap(
-        zone.reshape(shape),
+        zones.reshape(shape),
         mu.reshape(shape),
         fold.reshape(shape),
         flutter.reshape(shape),
@@ -153,8 +156,8 @@ def zone_map(p: RigParameters, hits: bool = False, threads: int | None = None, *
     )
 
 
-def _machine(rig: RigParameters, low: float, high: float, hits: bool) -> _Machine:
-    """Both borders at the nodes of the preload, held against the middle between two nodes."""
+def _machine(rig: RigParameters, low: float, high: float, hits: bool, span: tuple[float, float]) -> _Machine:
+    """Both borders at the nodes of the preload, held against the middle between two; `span` is the range of mu."""
     nodes = _chebyshev(low, high)
     branches = [_branch(rig, preload) for preload in nodes.tolist()]
     fold, flutter = (np.array([getattr(b, name) for b in branches]) for name in ("fold", "threshold"))
@@ -181,7 +184,10 @@ def _machine(rig: RigParameters, low: float, high: float, hits: bool) -> _Machin
                 guess = float(_monotone(shares, hit, np.array([between]))[0])
                 hit_error = max(hit_error, abs(guess / _scaled_hit(rig, preload, middle, float(between)) - 1.0))
         shares, hit = np.append(shares, 1.0), np.append(hit, 0.0)
-    return _Machine(fold, flutter, all(b.is_soft for b in branches), error, shares, hit, hit_error, reason)
+    elsewhere = QUIET
+    if not (np.isfinite(fold).all() and np.isfinite(flutter).all()) and not all(b.is_soft for b in branches):
+        elsewhere = _zone_over(rig, 0.5 * (low + high), span)
+    return _Machine(fold, flutter, elsewhere, error, shares, hit, hit_error, reason)
 
 
 def _at(rig: RigParameters, preload: float) -> Path:
@@ -195,6 +201,16 @@ def _branch(rig: RigParameters, preload: float) -> HardBranch:
         return hard_branch(path, path.lower, path.upper)
     except ModelError as error:
         return HardBranch(math.nan, reason=str(error))
+
+
+def _zone_over(rig: RigParameters, preload: float, span: tuple[float, float]) -> int:
+    """Zone of a machine over a range of mu where `zone` says the same of both ends and the middle, else `UNKNOWN`."""
+    codes = {name: code for code, name in NAMES.items()}
+    try:
+        found = {zone(_at(rig, preload).rig(mu)).name for mu in np.linspace(*span, 3).tolist()}
+    except ModelError:
+        return UNKNOWN
+    return codes[found.pop()] if len(found) == 1 else UNKNOWN
 
 
 def _scaled_hit(rig: RigParameters, preload: float, branch: HardBranch, share: float) -> float:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from squeal_rig.model.core.law import friction_coefficient
 from squeal_rig.model.core.statics import equilibrium
-from squeal_rig.model.cycles.border import fold_below, hard_branch
+from squeal_rig.model.cycles.border import HardBranch, fold_below, hard_branch
 from squeal_rig.model.cycles.cycle import FOUND, LONGER, QUASI_PERIODIC, SquealCycle, cycle_of, squeal_cycle
 from squeal_rig.model.cycles.path import PAD_STIFFNESS, Path, refuse_what_has_no_cycles
 from squeal_rig.model.cycles.shooting import Orbit
@@ -89,9 +89,12 @@ def zone(p: RigParameters) -> Zone:
 
 
 def cycles_of(p: RigParameters) -> tuple[Orbit | None, Orbit | None]:
-    """Squeal cycle and separatrix at an operating point, of the branch in mu0."""
-    path = Path(p, "mu0")
-    branch = hard_branch(path, path.lower, path.upper)
+    """Squeal cycle and separatrix at an operating point, of the branch in mu0, or in the pad stiffness without one."""
+    branch = HardBranch(math.nan)
+    for field in ("mu0", PAD_STIFFNESS):
+        if branch.squeal is None and not math.isfinite(branch.threshold):
+            path = Path(p, field)
+            branch = hard_branch(path, path.lower, path.upper)
     return branch.squeal, branch.separatrix
 
 
