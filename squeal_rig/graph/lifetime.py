@@ -6,6 +6,7 @@ that it cannot take, through to whoever spins.
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 import traceback
@@ -26,11 +27,13 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from squeal_rig.errors import SquealRigError
+from squeal_rig.errors import ParameterError, SquealRigError
 from squeal_rig.graph import signals
 
 # A signal only sets a flag, which is seen after this time [s] at most.
 _SPIN_TIMEOUT = 0.1
+# Of the domains that have ports, the last.
+_LAST_DOMAIN = 232
 
 #: Pacing and staleness use it: a ROS-time timer never fires once `/clock` has died.
 STEADY = Clock(clock_type=ClockType.STEADY_TIME)
@@ -136,6 +139,23 @@ def described(error: Exception) -> str:
     return f"{type(error).__name__}: {text}{place}"
 
 
+def join_graph(args: Sequence[str] | None) -> None:
+    """`rclpy.init` without its signal handlers; arguments as after `--ros-args`.
+
+    Raises:
+        ParameterError: the ROS domain is none, or an argument is wrong.
+    """
+    domain = os.environ.get("ROS_DOMAIN_ID", "")
+    if domain.isdecimal() and int(domain[:9]) > _LAST_DOMAIN:  # Fast DDS would end the process
+        raise ParameterError(f"ROS_DOMAIN_ID = {domain[:20]} is out of bounds: it must be 0 to {_LAST_DOMAIN}")
+    try:
+        rclpy.init(args=list(args) if args is not None else None, signal_handler_options=SignalHandlerOptions.NO)
+    except rclpy_implementation.UnknownROSArgsError as error:
+        raise ParameterError(f"unknown argument after --ros-args: {error}") from None
+    except rclpy_implementation.RCLError as error:
+        raise ParameterError(" ".join(str(error).split(", at ")[0].split())) from None
+
+
 def run_node(factory: Callable[[Lifetime], Node], args: Sequence[str] | None = None) -> int:
     """Run one node to its end and return the process's exit code.
 
@@ -152,12 +172,10 @@ def run_node(factory: Callable[[Lifetime], Node], args: Sequence[str] | None = N
 def _run(factory: Callable[[Lifetime], Node], args: Sequence[str] | None) -> int:
     lifetime = Lifetime()
     try:
-        rclpy.init(args=list(args) if args is not None else None, signal_handler_options=SignalHandlerOptions.NO)
+        join_graph(args)
         node = factory(lifetime)
     except (SquealRigError, InvalidNodeNameException, InvalidNamespaceException) as error:
         return _refused(str(error), 2)
-    except rclpy_implementation.UnknownROSArgsError as error:
-        return _refused(f"unknown argument after --ros-args: {error}", 2)
     except rclpy_implementation.RCLError as error:
         return _refused(" ".join(str(error).split(", at ")[0].split()), 2)
     except OSError as error:  # a path that cannot be, a port that is taken

@@ -14,10 +14,8 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParametersAtomically
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -29,7 +27,7 @@ from squeal_rig.experiments.engine import FITTED, RunEvent
 from squeal_rig.graph import qos
 from squeal_rig.graph.conversions import ERROR, OK, diagnostics, status, status_number, status_values, whole_number
 from squeal_rig.graph.health import HEARD, LAST_PUBLISHED, LAST_TAKEN, LISTENERS, own_name
-from squeal_rig.graph.lifetime import GuardedExecutor
+from squeal_rig.graph.lifetime import GuardedExecutor, join_graph
 from squeal_rig.graph.names import Claim, is_running
 from squeal_rig.instruments.acquisition import NOT_MOVABLE
 from squeal_rig.instruments.channels import DAQ_CHANNELS, FRICTION_WINDOW_NEEDED, block_from_cdr
@@ -95,10 +93,7 @@ class LiveGraph:
     """
 
     def __init__(self, watched: Callable[[], None]) -> None:
-        try:
-            rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        except rclpy_implementation.RCLError as error:  # such as a ROS_DOMAIN_ID that is none
-            raise ExperimentError(" ".join(str(error).split(", at ")[0].split())) from None
+        join_graph([])
         self._node = Node("console")
         self._executor = GuardedExecutor()
         self._executor.add_node(self._node)

@@ -222,7 +222,7 @@ def test_what_a_campaign_tells_is_its_progress_on_the_page(shown, observer):
     assert shown.tab.locator("#run-progress").get_attribute("value") == "4"
     shown.tab.fill("#springs-fitted input", "stiff")
     answer = shown.answer_to(lambda: shown.tab.press("#springs-fitted input", "Enter"))
-    assert "nobody offers /console/set_parameters" in answer  # what tells of a run here is no console
+    assert "nobody offers console/set_parameters" in answer  # what tells of a run here is no console
     tell(STEP_ENDED, step=5, of=24, title="preload = 30", outcome="done", verdict="squeal")
     shown.until(f"{said}.includes('5 of 24') && {said}.includes('left')")
     assert "verdict squeal" in shown.tab.text_content("#run-last")

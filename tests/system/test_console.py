@@ -36,8 +36,8 @@ def test_statuses_that_lack_what_is_looked_for_are_taken(monkeypatch):
         graph._on_stability(DiagnosticArray())
         graph._on_squeal(DiagnosticArray())
         graph._on_squeal(DiagnosticArray(status=[DiagnosticStatus()]))
-        graph._on_health(DiagnosticArray(status=[DiagnosticStatus(name="lab/recorder")]))
+        graph._on_health(DiagnosticArray(status=[DiagnosticStatus(name="recorder")]))
         assert graph.state.squealing is False
-        assert graph.state.health == {"lab/recorder": (0, "")}
+        assert graph.state.health == {"recorder": (0, "")}
     finally:
         graph.close()

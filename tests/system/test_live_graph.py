@@ -159,7 +159,8 @@ def test_windows_are_kept_where_they_are_asked_for(graph):
     assert graph.windows == []
     graph.keeps_windows = True
     graph._on_window(window)
-    assert [found.base is None for found in graph.windows] == [True]  # no view that keeps the message
+    (found,) = graph.windows
+    assert found.base.nbytes == FRICTION_WINDOW_RECORD.itemsize  # no view that keeps the message
 
 
 def test_health_of_other_rigs_is_none_of_ours(graph):
@@ -179,11 +180,3 @@ def test_health_of_other_rigs_is_none_of_ours(graph):
         _told(graph, f"x{k}", **{f"t{k}": 1})
     assert len(graph.state.health) <= 1000
     assert len(graph.state.listeners) <= 1000
-
-
-def test_a_domain_that_is_none_is_a_sentence(in_process, monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
-    for domain in ("abc", "300"):
-        monkeypatch.setenv("ROS_DOMAIN_ID", domain)
-        code, _, errors = in_process("run", "--duration", "1", "--no-record")
-        assert (code, errors.count("\n")) == (2, 1), errors

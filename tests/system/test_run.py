@@ -1,13 +1,18 @@
 """`squeal-rig run`: nodes, live state, recording, plans, and a clean end however it comes."""
 
+import os
 import signal
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import psutil
 import pytest
 from rosbags.highlevel import AnyReader
 
+import squeal_rig
 from squeal_rig.configuration.files import config_directory
 from squeal_rig.recording import Bag, decoder_of, samples_from_cdr
 from tests.graph.processes import PATIENT_RATE, patient_config
@@ -17,6 +22,7 @@ pytest.importorskip("rclpy")
 # Starting six nodes takes some seconds; compiling the model for the first time far longer.
 _PATIENCE = 200.0
 _STALL = 1.5
+_PACKAGE = Path(squeal_rig.__file__).parent
 _PLAN = """\
 title: quiet, squeal, reset, impact
 steps:
@@ -209,3 +215,17 @@ def test_a_bag_that_exists_already_is_refused_before_anything_starts(planned, in
     assert f"The bag directory {bag} exists already and is not empty." in errors
     assert "node" not in output
     assert {path: path.stat().st_mtime_ns for path in bag.rglob("*")} == before
+
+
+@pytest.mark.parametrize("domain", ["abc", "300"])
+def test_a_domain_that_is_none_is_a_sentence(domain, tmp_path):
+    environment = {**os.environ, "ROS_DOMAIN_ID": domain}
+    start = [sys.executable, str(_PACKAGE / "nodes" / "start.py"), "simulator"]
+    for command in ([sys.executable, "-m", "squeal_rig.cli", "run", "--duration", "1", "--no-record"], start):
+        ended = subprocess.run(
+            command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=_PATIENCE, check=False
+        )
+        assert ended.returncode == 2, ended.stderr
+        assert "ROS_DOMAIN_ID" in ended.stderr
+        assert ended.stderr.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
