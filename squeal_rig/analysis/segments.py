@@ -33,9 +33,9 @@ Values = NDArray[np.float64]
 SHORTEST_SEGMENT = 0.3
 #: Signal kept of each segment for its spectrum [s]: the last part, where it has settled.
 _SPECTRUM_SECONDS = 0.5
-# What rings down loses more than this [dB/s], or half of what the eigenvalues say, if that is less; squeal keeps its
-# level. Slow falls show over the last windows only. The detector is late by so many windows, whose levels may be of
-# what came after.
+# What rings down loses more than this [dB/s], or, where the eigenvalues say stable, half of what they say, if that is
+# less; squeal keeps its level. Slow falls show over the last windows only. The detector is late by so many windows,
+# whose levels may be of what came after.
 _FALLING, _SLOWLY, _LAST, _LATE = -3.0, -0.1, 10, 2
 _DB_PER_NEPER = 20.0 / math.log(10.0)
 _WORDS = {True: "squeal", False: "quiet", None: "no numbers"}
@@ -115,14 +115,15 @@ class Segment:
         """Whether its level falls until its end, as after a hit that dies out: loud, and no squeal."""
         if not self.squealing or len(self.levels) < _LATE + 3:
             return False
-        growth = 0.0 if self.stability is None else self.stability.growth_rate
-        falling = max(_FALLING, min(_SLOWLY, 0.5 * growth * _DB_PER_NEPER))
         levels = self.levels[:-_LATE][-_LAST - 1 :]
 
         def slope(windows: int) -> float:
             return (levels[-1] - levels[-1 - windows]) / (windows * SquealSettings().window)
 
-        return slope(2) < _FALLING or max(slope(2), slope(len(levels) - 1)) < falling
+        if slope(2) < _FALLING or self.stability is None or self.stability.unstable:
+            return slope(2) < _FALLING
+        falling = max(_FALLING, min(_SLOWLY, 0.5 * self.stability.growth_rate * _DB_PER_NEPER))
+        return max(slope(2), slope(len(levels) - 1)) < falling
 
     @property
     def duration(self) -> float:
@@ -305,12 +306,13 @@ class _Analyser:
 
     def finished(self, title: str) -> Analysis:
         """The analysis, once all blocks were taken."""
-        segments = [segment for segment in self._segments if segment.duration >= SHORTEST_SEGMENT]
+        segments, half = [s for s in self._segments if s.duration >= SHORTEST_SEGMENT], 0.5 / self._rate
         for segment in segments:
             _settle(segment)
             segment.levels = [level for t, _, level, _ in self._course.levels if segment.begin < t <= segment.end]
             for window in self._course.windows:
-                if segment.begin <= window["t_start"] and window["t_end"] <= segment.end:
+                # Both ends are sums of other numbers: half a sample is rounding.
+                if segment.begin - half <= window["t_start"] and window["t_end"] <= segment.end + half:
                     segment.mu.append(window["mu"])
                     segment.mu_ratio.append(window["mu_ratio_of_means"])
                     segment.mu_true.append(window["mu_true"])

@@ -114,7 +114,7 @@ def only_regular(path: str, flags: int) -> int:
     if stat.S_ISREG(mode) or stat.S_ISDIR(mode):  # of a folder, `open` itself says so
         return descriptor
     os.close(descriptor)
-    raise OSError(errno.EINVAL, "Not a regular file")
+    raise OSError(errno.EINVAL, "Not a regular file", path)
 
 
 def reason_of(error: Exception) -> str:

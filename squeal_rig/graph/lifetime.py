@@ -129,9 +129,14 @@ def _refusal(request: Any, response: Any, sentence: str) -> Any:
     return response
 
 
+def _without_place(error: Exception) -> str:
+    """What an error says; rcl adds the place in its source."""
+    return " ".join(str(error).split(", at ")[0].split())
+
+
 def described(error: Exception) -> str:
     """An error in one sentence: our own as they are, others with their kind and place."""
-    text = " ".join(str(error).split(", at ")[0].split())  # rcl adds the place in its source
+    text = _without_place(error)
     if isinstance(error, SquealRigError):
         return text
     frames = traceback.extract_tb(error.__traceback__)
@@ -146,14 +151,16 @@ def join_graph(args: Sequence[str] | None) -> None:
         ParameterError: the ROS domain is none, or an argument is wrong.
     """
     domain = os.environ.get("ROS_DOMAIN_ID", "")
-    if domain.isdecimal() and int(domain[:9]) > _LAST_DOMAIN:  # Fast DDS would end the process
-        raise ParameterError(f"ROS_DOMAIN_ID = {domain[:20]} is out of bounds: it must be 0 to {_LAST_DOMAIN}")
+    whole = domain.isascii() and domain.isdecimal()
+    # Fast DDS would end the process.
+    if domain and not (whole and int(domain.lstrip("0")[:4] or "0") <= _LAST_DOMAIN):
+        raise ParameterError(f"ROS_DOMAIN_ID = {domain[:20]!r} cannot be: it must be a number from 0 to {_LAST_DOMAIN}")
     try:
         rclpy.init(args=list(args) if args is not None else None, signal_handler_options=SignalHandlerOptions.NO)
     except rclpy_implementation.UnknownROSArgsError as error:
         raise ParameterError(f"unknown argument after --ros-args: {error}") from None
     except rclpy_implementation.RCLError as error:
-        raise ParameterError(" ".join(str(error).split(", at ")[0].split())) from None
+        raise ParameterError(_without_place(error)) from None
 
 
 def run_node(factory: Callable[[Lifetime], Node], args: Sequence[str] | None = None) -> int:
@@ -177,7 +184,7 @@ def _run(factory: Callable[[Lifetime], Node], args: Sequence[str] | None) -> int
     except (SquealRigError, InvalidNodeNameException, InvalidNamespaceException) as error:
         return _refused(str(error), 2)
     except rclpy_implementation.RCLError as error:
-        return _refused(" ".join(str(error).split(", at ")[0].split()), 2)
+        return _refused(_without_place(error), 2)
     except OSError as error:  # a path that cannot be, a port that is taken
         return _refused(str(error), 2)
     except Exception as error:

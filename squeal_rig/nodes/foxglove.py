@@ -139,8 +139,10 @@ class FoxgloveNode(Node, ServerListener):
         names = list(present)
         wanted = names if "*" in self._patterns else matching_topics(names, [*self._patterns])
         for name in wanted:
-            if name not in self._topics and name not in self._unknown:
-                self._offer(name, present[name])
+            if name not in self._topics:
+                # Who listens for another type does no harm; where nobody publishes yet, all count.
+                types = {end.topic_type for end in self.get_publishers_info_by_topic(name)} or present[name]
+                self._offer(name, sorted(types))
         for name, topic in self._topics.items():
             if topic.channel.has_sinks() and topic.subscription is None:
                 self._subscribe(name, topic)
@@ -156,9 +158,11 @@ class FoxgloveNode(Node, ServerListener):
             message_class(types[0])
             schema = installed_schema(types[0])
         except RecordingError as error:
-            self._unknown.add(name)
-            self.get_logger().warning(f"{name} is not offered: {error}")
+            if name not in self._unknown:
+                self._unknown.add(name)
+                self.get_logger().warning(f"{name} is not offered: {error}")
             return
+        self._unknown.discard(name)
         data = Schema(name=schema.type_name, encoding="ros2msg", data=_definition(schema.text))
         channel = Channel(name, schema=data, message_encoding="cdr", context=self._sinks)
         self._topics[name] = _Topic(channel, types[0])

@@ -15,6 +15,7 @@ _MAX_VALUES = 1 << 18  # characters of YAML: some seconds' work
 # What is kept of one node: characters of its names and values as they are about to be written, and characters of one
 # number of an array. It is written in the thread that takes the samples, within a second.
 _KEPT, _A_NUMBER = 1 << 16, 25
+_REST = "left out"  # name of what tells how many others there were
 
 Record = tuple[str, dict[str, str]]
 
@@ -72,6 +73,8 @@ def _bounded(values: Mapping[str, Any]) -> dict[str, Any]:
     """Values as they are kept: a sentence in place of one that is too long, and of all that are beyond the bound."""
     kept: dict[str, Any] = {}
     left = _KEPT
+    before = _number(values.get(_REST, ""))  # left out already
+    values = {name: value for name, value in values.items() if name != _REST or not before}
     for name, value in values.items():
         items = len(value) if isinstance(value, (str, list)) else 1
         size = items * (1 if isinstance(value, str) else _A_NUMBER)
@@ -80,7 +83,13 @@ def _bounded(values: Mapping[str, Any]) -> dict[str, Any]:
         fits = size <= left
         left -= len(name) + (size if fits else 40)
         if left < 0:
-            kept["left out"] = f"{len(values) - len(kept)} parameters"
+            before += len(values) - len(kept)
             break
         kept[name] = value if fits else f"left out: {items} {'characters' if isinstance(value, str) else 'values'}"
-    return kept
+    return kept | ({_REST: f"{before} parameters"} if before else {})
+
+
+def _number(text: Any) -> int:
+    """How many parameters were left out, as an earlier call has told it."""
+    count, _, unit = text.partition(" ") if isinstance(text, str) else ("", "", "")
+    return int(count) if unit == "parameters" and count.isdecimal() and len(count) < 10 else 0

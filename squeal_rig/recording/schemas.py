@@ -24,6 +24,7 @@ _PRIMITIVES = frozenset(
 )
 _SEPARATOR = "=" * 80
 _SEPARATORS = re.compile(r"^=+\n", re.MULTILINE)
+_HEADS = ("MSG:", "IDL:")  # of the parts of a definition behind its first
 _FIELD_PARTS = re.compile(r"^(?:\w+/)+|\s*(=)\s*")
 _MAX_TEXT, _MAX_FIELDS = 1 << 18, 4000  # of a definition that is parsed
 _MAX_DEPTH = 50  # rosbag2's own limit (local_message_definition_source.hpp)
@@ -45,9 +46,14 @@ class MessageSchema:
         """Return the name of a type that both define with other fields; None where the one reads the other's messages.
 
         Comments, spacing and the packages of fields do not count: they differ between releases of the same definition.
+        A part of another text without a head is in conflict with all: nobody reads by it.
         """
         if self.text == other.text:
             return None
+        for schema in (self, other):
+            heads = (part.partition("\n")[0] for part in _SEPARATORS.split(schema.text)[1:])
+            if (headless := next((head for head in heads if not head.startswith(_HEADS)), None)) is not None:
+                return repr(headless[:60])
         theirs = _fields_by_type(other)
         return next((n for n, fields in _fields_by_type(self).items() if theirs.get(n, fields) != fields), None)
 

@@ -121,7 +121,7 @@ class FileChecker:
             self._fault(f"{where} gives other times than its messages have")
         entry = self._chunk_indexes.pop(offset, None)
         if entry is None:
-            if self._chunk_indexes:
+            if self._indexed:
                 self._fault(f"{where} is not in the index of the file")
         elif (entry.message_start_time, entry.message_end_time) != claimed or entry.chunk_length != len(body) + 9:
             self._fault(f"{where} is described wrongly by the index of the file")

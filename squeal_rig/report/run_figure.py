@@ -159,7 +159,9 @@ def _off_belt(axis: Any, analysis: Analysis) -> None:
 
 def _spectra(figure: Any, grid: Any, analysis: Analysis) -> None:
     """Spectra of the loudest segments, at most three, one under the other."""
-    chosen = sorted(analysis.segments, key=lambda segment: (segment.squealing, segment.duration), reverse=True)[:3]
+    chosen = sorted(analysis.segments, key=lambda segment: (bool(segment.squealing), segment.duration), reverse=True)[
+        :3
+    ]
     chosen.sort(key=lambda segment: segment.begin)
     inner = grid[:, 1].subgridspec(max(1, len(chosen)), 1)
     first = None
@@ -175,7 +177,9 @@ def _spectra(figure: Any, grid: Any, analysis: Analysis) -> None:
 def _spectrum(axis: Any, segment: Segment) -> None:
     frequencies, amplitudes = segment.spectrum()
     shown = frequencies <= _TOP_FREQUENCY
-    level = 20.0 * np.log10(np.maximum(amplitudes[shown] / REFERENCE, 10.0 ** (_LOWEST_LEVEL / 20.0)))
+    level = 20.0 * np.log10(
+        np.maximum(amplitudes[shown] / (math.sqrt(2.0) * REFERENCE), 10.0 ** (_LOWEST_LEVEL / 20.0))
+    )
     axis.plot(frequencies[shown] / 1e3, level, color="k", lw=0.8)
     s = segment.stability
     if s is not None and not math.isnan(s.squeal_frequency):

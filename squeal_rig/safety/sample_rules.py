@@ -157,7 +157,8 @@ class SampleRules:
         settings: SupervisorSettings,
     ) -> None:
         spans = {name: float(np.ptp(values)) if len(values) else math.nan for name, values in finite.items()}
-        moving = {name for name, least in _MOVES.items() if spans[name] > least}
+        # Noise is no motion: its peaks on either side lie within so many standard deviations.
+        moving = {n for n, least in _MOVES.items() if spans[n] > least + 2.0 * SIGMAS * rig.noise.get(n, 0.0)}
         for channel, values in finite.items():
             noisy = rig.noise.get(channel, 0.0) > 0.0 and channel not in _MAY_REST
             if not noisy and channel not in _MOVES:

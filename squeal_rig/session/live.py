@@ -249,8 +249,20 @@ class LiveGraph:
         self.transition(Transition.TRANSITION_DEACTIVATE, _SERVICE_TIMEOUT)
         self._node.set_parameters([Parameter(FITTED, value="")])
         self._to_fit = name
+        stands = False
+
+        def is_confirmed() -> bool:
+            nonlocal stands
+            stands = stands or self.state.rig_state == INACTIVE
+            if stands and self.state.rig_state != INACTIVE:
+                self.transition(Transition.TRANSITION_DEACTIVATE, _SERVICE_TIMEOUT)
+                raise ExperimentError(
+                    f"the rig was activated while the springs {name!r} are fitted: it is inactive again"
+                )
+            return bool(self._node.get_parameter(FITTED).value == name)
+
         try:
-            confirmed = self.comes(lambda: self._node.get_parameter(FITTED).value == name, dwell)
+            confirmed = self.comes(is_confirmed, dwell)
         finally:
             self._to_fit = ""
         if not confirmed:
@@ -413,8 +425,7 @@ class LiveGraph:
                 (LAST_PUBLISHED, self.state.published),
                 (LAST_TAKEN, self.state.taken),
             ):
-                numbers |= {
-                    key.removeprefix(prefix): whole_number(value)
-                    for key, value in status_values(found).items()
-                    if key.startswith(prefix) and len(numbers) < _MOST_NAMES
-                }
+                for key, value in status_values(found).items():
+                    topic = key.removeprefix(prefix)
+                    if topic != key and (topic in numbers or len(numbers) < _MOST_NAMES):
+                        numbers[topic] = whole_number(value)

@@ -51,7 +51,7 @@ class ViewFollower:
     def __init__(self, settings: ViewSettings, sample_rate: int, numbers: Numbers | None = None) -> None:
         self._settings, self._rate = settings, sample_rate
         self._window = LastSamples(max(2, round(settings.spectrum_window * sample_rate)))
-        self._since = math.inf
+        self._since = sample_rate / settings.rate  # samples since the last pictures: the first come at once
         self._off = self._truths = 0
         self.numbers: Numbers = {} if numbers is None else numbers
 
@@ -65,10 +65,11 @@ class ViewFollower:
         self._window.add(int(daq["seq"][0]), daq["x"])
         rows = [envelope(daq[channel.name]) for channel in SHOWN]
         yield ENVELOPE, multi_array_message(rows, ", ".join(_title(c.name, c.unit) for c in SHOWN), "min, max, mean")
-        self._since += len(daq) / self._rate
-        if self._since < 1.0 / self._settings.rate:
+        self._since += len(daq)
+        period = self._rate / self._settings.rate
+        if self._since < period:
             return
-        self._since = 0.0
+        self._since = min(self._since - period, period)  # what is over counts, so that the rate is kept
         yield from self._scope(daq)
         yield from self._spectrum()
         now = time.monotonic()

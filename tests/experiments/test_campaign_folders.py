@@ -190,6 +190,8 @@ def test_a_journal_that_is_no_file_is_not_waited_for(tmp_path):
     for act in (status, Store.resume):
         with pytest.raises(ExperimentError, match="holds no campaign"):
             act(tmp_path / "levels")
+    with pytest.raises(OSError, match=r"Not a regular file: .*journal\.jsonl"):  # a sentence at the command line
+        start(tmp_path / "levels", parse_campaign(LEVELS, "plan"), 4)
 
 
 def test_ramps_that_are_too_long_together_are_refused_before_they_are_made():

@@ -176,6 +176,13 @@ def test_a_chunk_listed_twice_is_an_error_and_is_not_read_twice(bag):
         Bag(bag)
 
 
+@pytest.mark.parametrize("place", [0, -1])
+def test_a_chunk_that_the_index_lacks_is_an_error(bag, place):
+    """Readers pass over it."""
+    rewritten_index(bag / "run_0.mcap", lambda entries: entries.pop(place))
+    assert any("is not in the index of the file" in sentence for sentence in errors(bag))
+
+
 def test_a_channel_that_is_missing_from_the_index_is_an_error(bag):
     """Readers take a chunk for one without messages of the topic then."""
     rewritten_index(bag / "run_0.mcap", lambda entries: entries[1].message_index_offsets.popitem())

@@ -59,6 +59,16 @@ def test_a_definition_within_a_definition_counts(tmp_path):
     assert first.conflict(SWAPPED) == "test_rig/Pair"
 
 
+def test_a_definition_that_nobody_can_read_by_is_no_other_wording_of_a_good_one(tmp_path):
+    text = f"test_rig/Pair pair\n{'=' * 80}\nMSG: test_rig/Pair\n{FORCES.text}"
+    good, damaged = (MessageSchema(PAIR, t) for t in (text, text.replace("MSG:", "OSG:")))
+    assert good.conflict(damaged) == damaged.conflict(good) == "'OSG: test_rig/Pair'"
+    assert damaged.conflict(damaged) is None
+    bags = [write(tmp_path / "a", damaged), write(tmp_path / "b", good, start=START + 100)]
+    with pytest.raises(RecordingError, match="one bag cannot hold both"):
+        merge(bags, tmp_path / "both")
+
+
 def test_recover_keeps_the_first_definition_and_leaves_out_the_messages_of_another(tmp_path):
     folder = tmp_path / "files"
     folder.mkdir()

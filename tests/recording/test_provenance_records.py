@@ -89,4 +89,7 @@ def test_a_value_that_would_hold_the_recorder_up_is_left_out_and_the_others_are_
     kept = parameters_of(record)[2]
     assert kept.pop("left out") == f"{100_000 - len(kept)} parameters"
     assert 1000 < len(kept) < 10_000
+    (many,) = (record for _, record in log.current(9) if record["node"] == "/many")
+    again = parameters_of(many)[2]
+    assert again == {**kept, "left out": f"{100_000 - len(kept)} parameters"}
     assert time.monotonic() - begin < 60.0  # minutes without the bound

@@ -267,3 +267,12 @@ def test_no_spectrum_goes_across_a_gap(bag: Path, tmp_path: Path):
     squeal = analyse_bag(cut).segments[-1]
     assert squeal.squealing
     assert len(squeal.signal) == 260 - 240
+
+
+def test_squeal_of_an_unstable_rig_that_settles_from_above_does_not_ring_down(bag: Path):
+    squeal = analyse_bag(bag).segments[1]
+    assert squeal.stability.unstable
+    squeal.levels = [20.0 - 0.3 * 0.1 * n for n in range(15)]
+    assert not squeal.rings_down
+    squeal.levels = [20.0 - 4.0 * 0.1 * n for n in range(15)]
+    assert squeal.rings_down

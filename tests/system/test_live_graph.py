@@ -178,5 +178,8 @@ def test_health_of_other_rigs_is_none_of_ours(graph):
     assert (graph.state.listeners, graph.state.rig_state) == ({"daq/samples": 0}, "active")
     for k in range(3000):
         _told(graph, f"x{k}", **{f"t{k}": 1})
+    _told(graph, "x", **{f"u{k}": 1 for k in range(3000)})
     assert len(graph.state.health) <= 1000
     assert len(graph.state.listeners) <= 1000
+    _told(graph, "rig", daq__samples=7)
+    assert graph.state.listeners["daq/samples"] == 7

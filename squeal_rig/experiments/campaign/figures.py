@@ -20,7 +20,7 @@ Values = NDArray[np.float64]
 
 _MARKS = {QUIET: ("o", "none"), SQUEAL: ("s", "#b2182b"), IRREGULAR: ("D", "#e08214")}
 _OTHER = ("x", "#000000")
-_ZONE_COLORS = {"quiet": "#ffffff", "bistable": "#9ecae1", "squeal": "#fcbba1"}
+_ZONE_COLORS = {"quiet": "#ffffff", "bistable": "#9ecae1", "squeal": "#fcbba1", "not known": "#d9d9d9"}
 _TOP_FREQUENCY, _LOWEST = 5000.0, -80.0
 _MOST_DRAWN = 5000
 # Axes of the operating map, and how many panels it has at most.

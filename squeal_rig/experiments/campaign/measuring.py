@@ -33,13 +33,13 @@ VERDICTS = {
     SQUEAL: "a tone reaches the level, for as long as squeal must last",
     IRREGULAR: "loud, and no tone stands out",
     STOPPED: "ended by the plan's rule on the level",
-    FAILED: "no numbers: the note says why",
+    FAILED: "not judged: the note says why",
 }
 #: And with `measure: level`, which follows no tones.
 VERDICTS_BY_LEVEL = {
     **VERDICTS,
-    QUIET: "the level is not reached, or the pad never left the belt",
-    SQUEAL: "the level is reached over the dwell, and the pad left the belt",
+    QUIET: "the level is not reached, or a stable rig rings in contact",
+    SQUEAL: "the level is reached over the dwell, and the pad left the belt or the equilibrium is unstable",
 }
 OUT, BACK = "out", "back"
 
@@ -67,13 +67,12 @@ class _Measurement:
         self._campaign, self._bench = campaign, bench
         rate = bench.sample_rate
         self._events = SquealEvents(rate, campaign.squeal, campaign.tones)
-        window = max(2, round(campaign.squeal.window * rate))
-        refuse_empty_band(rate, window, campaign.squeal.band_low, campaign.squeal.band_high)
+        self._rate = rate
+        refuse_empty_band(rate, self._window, campaign.squeal.band_low, campaign.squeal.band_high)
         self._time = 0
         self._values: Mapping[str, float] = {}
-        self._rate = rate
         self._ramps = 0
-        self._largest = 0.0  # displacement along the belt [m]
+        self._lowest, self._highest = math.inf, -math.inf  # displacement along the belt [m]
         self._point = Point(
             {
                 "verdict": FAILED, "level": math.nan, "frequency": math.nan, "tonality": math.nan, "tones": 0,
@@ -96,7 +95,9 @@ class _Measurement:
         except ModelError as error:
             row["verdict"], row["note"] = FAILED, str(error)
         rig = self._campaign.rig(values)
-        note = _outside(self._largest, min(rig.arm_length_1, rig.arm_length_2))
+        # Half of its way: a transducer may read anything at rest.
+        moved = 0.5 * (self._highest - self._lowest)
+        note = _outside(moved, min(rig.arm_length_1, rig.arm_length_2))
         if note and row["verdict"] != FAILED:
             row["verdict"], row["note"] = FAILED, note
         self._point.events += self._events.finish()
@@ -114,7 +115,7 @@ class _Measurement:
         for x in self._bench.run(duration):
             self._point.events += self._events.add_signal(x)
             self._time += len(x)
-            self._largest = max(self._largest, float(np.max(np.abs(x), initial=0.0)))
+            self._lowest, self._highest = min(self._lowest, float(x.min())), max(self._highest, float(x.max()))
             pieces.append(x)
             kept, unjudged = kept + len(x), unjudged + len(x)
             while kept - len(pieces[0]) >= max(self._rate, self._window):

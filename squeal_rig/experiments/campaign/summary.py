@@ -19,7 +19,7 @@ from squeal_rig.experiments.campaign.measuring import FAILED, QUIET, SQUEAL, STO
 from squeal_rig.experiments.campaign.plans import EVENTS, Campaign
 from squeal_rig.experiments.campaign.store import header, journal, read
 from squeal_rig.model.core.law import COEFFICIENTS, friction_basis
-from squeal_rig.model.cycles.zone_map import NAMES, zone_map
+from squeal_rig.model.cycles.zone_map import NAMES, UNKNOWN, zone_map
 
 Values = NDArray[np.float64]
 
@@ -122,7 +122,7 @@ def contradictions(results: Results) -> list[str]:
         ("squealing where the cycles say no hit starts squeal", results.squealing & (results.zones == "quiet")),
         (
             "squealing where eigenvalues say stable and no zone is known",
-            results.squealing & ~unstable & (results.zones == NOT_AVAILABLE),
+            results.squealing & ~unstable & np.isin(results.zones, (NOT_AVAILABLE, NAMES[UNKNOWN])),
         ),
     ):
         if which.any():

@@ -52,8 +52,8 @@ class ZoneMap:
     - zone: -1 no equilibrium in contact, 0 quiet, 1 bistable, 2 squeal (`NAMES`); -2 where a border was not found,
       for one of `reasons`, and `zone` says different things over the range of mu
     - mu, fold_mu, flutter_mu: friction coefficient, and both borders in it; nan where there is none
-    - smallest_hit [N s]: of the best direction; 0 where the rig squeals, nan where no hit does it; None unless asked
-      for
+    - smallest_hit [N s]: of the best direction; 0 where the rig squeals, nan where no hit does it, or
+      where a border is not known; None unless asked for
     - border_error: largest difference, in mu, of an interpolated border from one solved for; hit_error: of a hit from
       one searched for, as a share
     - reasons: why a border is missing, with how many machines it is so for
@@ -186,7 +186,9 @@ def _machine(rig: RigParameters, low: float, high: float, hits: bool, span: tupl
         shares, hit = np.append(shares, 1.0), np.append(hit, 0.0)
     elsewhere = QUIET
     if not (np.isfinite(fold).all() and np.isfinite(flutter).all()) and not all(b.is_soft for b in branches):
-        elsewhere = _zone_over(rig, 0.5 * (low + high), span)
+        # Beyond flutter the border itself tells.
+        end = float(np.nanmin(flutter)) if np.isfinite(flutter).any() else math.inf
+        elsewhere = _zone_over(rig, 0.5 * (low + high), (span[0], min(span[1], max(span[0], end * (1.0 - 1e-6)))))
     return _Machine(fold, flutter, elsewhere, error, shares, hit, hit_error, reason)
 
 
@@ -208,7 +210,7 @@ def _zone_over(rig: RigParameters, preload: float, span: tuple[float, float]) ->
     codes = {name: code for code, name in NAMES.items()}
     try:
         found = {zone(_at(rig, preload).rig(mu)).name for mu in np.linspace(*span, 3).tolist()}
-    except ModelError:
+    except (ModelError, ParameterError):  # a mu beyond the bounds of mu0
         return UNKNOWN
     return codes[found.pop()] if len(found) == 1 else UNKNOWN
 

@@ -16,10 +16,10 @@ const page = (() => {
     if (commandsOpen >= 2) { say(false, `${name}: wait, the command before has no answer yet`); return; }
     commandsOpen++;
     try {
-      const told = await posted(content, 30000);
+      const told = await posted(content, 75000);  // longer than the rig takes to connect a device anew
       say(told.done, `${name}: ${told.sentence}`);
     } catch (error) {
-      say(false, `${name}: the page's server does not answer`);
+      say(false, `${name}: the page's server does not answer${error.name === "TimeoutError" ? " within 75 s, it may still be carried out" : ""}`);
     } finally {
       commandsOpen--;
     }

@@ -16,7 +16,7 @@ from squeal_rig.model.parameters import RigParameters
 WEIGHTS = (0.01, 0.03, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 4.0, 10.0)
 MASSES = (10.0, 11.5, 15.0, 20.0, 30.0, 50.0, 100.0, 200.0)
 #: Weight of the frequencies along the masses: small, so that the mass goes to the thresholds.
-_ALONG_MASSES = 0.1
+WEIGHT_ALONG_MASSES = 0.1
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ def trade_off(
         progress: called with the points done and the points in all.
     """
     largest = next(item.upper for item in problem.free if item.name == "mass")
-    asked = [(weight, largest) for weight in weights] + [(_ALONG_MASSES, mass) for mass in masses]
+    asked = [(weight, largest) for weight in weights] + [(WEIGHT_ALONG_MASSES, mass) for mass in masses]
     points = []
     for number, (weight, mass) in enumerate(asked, 1):
         points.append(_point(problem, weight, mass, seed, starts))

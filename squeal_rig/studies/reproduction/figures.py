@@ -10,7 +10,7 @@ import numpy as np
 from squeal_rig.estimation.spectra import REFERENCE
 from squeal_rig.model.core.law import friction_law
 from squeal_rig.report.paper_style import Picture, picture, style
-from squeal_rig.studies.inverse.tradeoff import TradeOff
+from squeal_rig.studies.inverse.tradeoff import WEIGHT_ALONG_MASSES, TradeOff
 from squeal_rig.studies.reproduction.friction_law import PRELOADS, FrictionExperiment
 from squeal_rig.studies.reproduction.inverse import InverseResults
 from squeal_rig.studies.reproduction.linear import STIFFNESS_LINES, Locus, ThresholdRow, Values
@@ -133,7 +133,8 @@ def map_figures(
         top = max(float(np.max(values)) for values in growth.values())
         for axis, (speed, values) in zip(axes[0], growth.items(), strict=True):
             levels = np.linspace(0.0, top, 8)
-            filled = axis.contourf(preloads, stiffnesses / 1e7, values.T, levels=levels[levels >= 1.0], cmap="Greys")
+            levels[0] = min(1.0, 0.5 * levels[1])  # white is stable, and what hardly grows
+            filled = axis.contourf(preloads, stiffnesses / 1e7, values.T, levels=levels, cmap="Greys")
             axis.plot(*boundary[speed], color="#b2182b", lw=1.5, label="k$_{cr}$")
             axis.legend(loc="upper left")
             axis.set(xlabel="preload F [N]", ylabel="k1 = k2 [10$^7$ N/m]", title=f"V = {speed:g} m/s", ylim=(0, 10))
@@ -242,7 +243,8 @@ def _draw_peaks(axis: Any, curve: PeakCurve, number: int) -> None:
 def trade_off_figure(inverse: InverseResults) -> Picture:
     """Mean error of the thresholds over the mean error of the frequencies, and over mass."""
     along_weight = [point for point in inverse.curve if point.largest_mass == inverse.curve[0].largest_mass]
-    along_mass = sorted(inverse.curve, key=lambda point: point.rig.mass)
+    same_weight = [point for point in inverse.curve if point.weight == WEIGHT_ALONG_MASSES]
+    along_mass = sorted(same_weight, key=lambda point: point.rig.mass)
 
     def draw(axes: Any) -> None:
         left, right = axes[0]
