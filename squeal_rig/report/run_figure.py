@@ -159,9 +159,8 @@ def _off_belt(axis: Any, analysis: Analysis) -> None:
 
 def _spectra(figure: Any, grid: Any, analysis: Analysis) -> None:
     """Spectra of the loudest segments, at most three, one under the other."""
-    chosen = sorted(analysis.segments, key=lambda segment: (bool(segment.squealing), segment.duration), reverse=True)[
-        :3
-    ]
+    by_weight = sorted(analysis.segments, key=lambda s: (bool(s.squealing), s.duration), reverse=True)
+    chosen = by_weight[:3]
     chosen.sort(key=lambda segment: segment.begin)
     inner = grid[:, 1].subgridspec(max(1, len(chosen)), 1)
     first = None
@@ -177,9 +176,8 @@ def _spectra(figure: Any, grid: Any, analysis: Analysis) -> None:
 def _spectrum(axis: Any, segment: Segment) -> None:
     frequencies, amplitudes = segment.spectrum()
     shown = frequencies <= _TOP_FREQUENCY
-    level = 20.0 * np.log10(
-        np.maximum(amplitudes[shown] / (math.sqrt(2.0) * REFERENCE), 10.0 ** (_LOWEST_LEVEL / 20.0))
-    )
+    rms = amplitudes[shown] / math.sqrt(2.0)  # of a line, as of the level beside it
+    level = 20.0 * np.log10(np.maximum(rms / REFERENCE, 10.0 ** (_LOWEST_LEVEL / 20.0)))
     axis.plot(frequencies[shown] / 1e3, level, color="k", lw=0.8)
     s = segment.stability
     if s is not None and not math.isnan(s.squeal_frequency):
