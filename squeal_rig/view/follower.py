@@ -51,7 +51,7 @@ class ViewFollower:
     def __init__(self, settings: ViewSettings, sample_rate: int, numbers: Numbers | None = None) -> None:
         self._settings, self._rate = settings, sample_rate
         self._window = LastSamples(max(2, round(settings.spectrum_window * sample_rate)))
-        self._since = sample_rate / settings.rate  # samples since the last pictures: the first come at once
+        self._since = math.inf  # samples since the last pictures: the first come at once
         self._off = self._truths = 0
         self.numbers: Numbers = {} if numbers is None else numbers
 
@@ -69,7 +69,8 @@ class ViewFollower:
         period = self._rate / self._settings.rate
         if self._since < period:
             return
-        self._since = min(self._since - period, period)  # what is over counts, so that the rate is kept
+        # What is over counts, so that the rate is kept.
+        self._since = 0.0 if math.isinf(self._since) else min(self._since - period, period)
         yield from self._scope(daq)
         yield from self._spectrum()
         now = time.monotonic()

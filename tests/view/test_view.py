@@ -64,6 +64,8 @@ def test_everything_but_the_envelope_comes_at_its_rate():
     said = [dict(follower.take_block(daq)) for daq in blocks(100)]
     assert sum("view/scope/x" in one for one in said) == 5
     assert sum("view/envelope" in one for one in said) == 100
+    follower = ViewFollower(ViewSettings(rate=7.0), RATE)  # no whole number of blocks
+    assert sum("view/scope/x" in dict(follower.take_block(daq)) for daq in blocks(1000)) == 70
 
 
 def test_a_number_is_published_once_it_is_known():
