@@ -129,11 +129,7 @@ def zone_map(p: RigParameters, hits: bool = False, threads: int | None = None, *
             share = (mu[mine] - fold[mine]) / (flutter[mine] - fold[mine])
             scaled[mine] = _monotone(machine.shares, machine.hit, share)
     compression = _compressions(values, points)
-    zones = np.full(points, QUIET, dtype=np.int8)
-    zones[mu >= fold] = BISTABLE
-    unbounded = ~np.isfinite(fold) | ~np.isfinite(flutter)
-    zones[unbounded] = elsewhere[unbounded]
-    zones[mu >= flutter] = SQUEAL
+    zones = _between(mu, fold, flutter, elsewhere)
     zones[~np.isfinite(compression)] = NOT_IN_CONTACT
     smallest = None
     if hits:
@@ -154,6 +150,16 @@ def zone_map(p: RigParameters, hits: bool = False, threads: int | None = None, *
         max((m.hit_error for m in machines), default=0.0),
         reasons,
     )
+
+
+def _between(mu: Vector, fold: Vector, flutter: Vector, elsewhere: NDArray[np.int8]) -> NDArray[np.int8]:
+    """Zone of each point (n,) between its borders; `elsewhere` where one of them is not known, up to flutter."""
+    zones = np.full(len(mu), QUIET, dtype=np.int8)
+    zones[mu >= fold] = BISTABLE
+    unbounded = ~np.isfinite(fold) | ~np.isfinite(flutter)
+    zones[unbounded] = elsewhere[unbounded]
+    zones[mu >= flutter] = SQUEAL
+    return zones
 
 
 def _machine(rig: RigParameters, low: float, high: float, hits: bool, span: tuple[float, float]) -> _Machine:

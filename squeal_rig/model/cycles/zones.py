@@ -90,12 +90,17 @@ def zone(p: RigParameters) -> Zone:
 
 def cycles_of(p: RigParameters) -> tuple[Orbit | None, Orbit | None]:
     """Squeal cycle and separatrix at an operating point, of the branch in mu0, or in the pad stiffness without one."""
-    branch = HardBranch(math.nan)
-    for field in ("mu0", PAD_STIFFNESS):
-        if branch.squeal is None and not math.isfinite(branch.threshold):
-            path = Path(p, field)
-            branch = hard_branch(path, path.lower, path.upper)
+    path = Path(p, "mu0")
+    branch = hard_branch(path, path.lower, path.upper)
+    if not _tells(branch):
+        path = Path(p, PAD_STIFFNESS)
+        branch = hard_branch(path, path.lower, path.upper)
     return branch.squeal, branch.separatrix
+
+
+def _tells(in_mu: HardBranch) -> bool:
+    """Whether the branch in mu0 tells the zone; without a flutter threshold it is that in the pad stiffness."""
+    return in_mu.squeal is not None or math.isfinite(in_mu.threshold)
 
 
 def located(p: RigParameters) -> Located:
@@ -111,7 +116,7 @@ def located(p: RigParameters) -> Located:
         # No flutter threshold at this friction, yet squeal: its branch in k has a fold all the same.
         fold_in_k = fold_below(in_k, mu.squeal)
     unstable = growth(in_mu.packed(in_mu.value)) > 0.0
-    path, branch = (in_k, k) if mu.squeal is None and not math.isfinite(mu.threshold) else (in_mu, mu)
+    path, branch = (in_mu, mu) if _tells(mu) else (in_k, k)
     cycle = None if branch.squeal is None else cycle_of(path, branch.squeal)
     endless = False
     if (not cycle.stable) if cycle is not None else unstable or not math.isfinite(branch.threshold):
