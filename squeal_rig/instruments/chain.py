@@ -214,10 +214,11 @@ class Report:
             torque = told = torque * (1.0 + self._specimen.sensitivity_error) + self._specimen.offset
         if self._noise:
             torque = told = torque + self._noise * self._random.standard_normal(len(torque))
-        if sheet.range:
-            torque = told = np.clip(torque, -sheet.range, sheet.range)
         if self._filter is not None:
             torque = told = self._filter(np.array(torque[None, :]))[0]
+        # After the low-pass: noise that it takes away must not pull the mean from the limit.
+        if sheet.range:
+            torque = told = np.clip(torque, -sheet.range, sheet.range)
         if self._late or sheet.update_rate:
             torque = told = self._hold(torque)
         if sheet.resolution:

@@ -264,13 +264,11 @@ class Picture:
         x, step = decimated(daq["x"], POINTS)
         y, _ = decimated(daq["y"], POINTS)
         arrays = {"x": 1e6 * x, "y": 1e6 * y}
-        high = SPECTRUM_HIGH
         if samples is not None and np.isfinite(samples).all():
             lines = spectrum_lines(samples, rig.sample_rate, SPECTRUM_HIGH, POINTS)
-            arrays["spectrum"], high = lines.levels, float(lines.frequencies[-1])
+            arrays |= {"spectrum": lines.levels, "spectrum_at": lines.frequencies}
         values = {
             "rate": rig.sample_rate / step,
-            "high": high,
             "preload": float(daq["preload"][-1]),
             "belt_speed": float(daq["belt_speed"][-1]),
             "seq": int(daq["seq"][-1]),

@@ -77,7 +77,7 @@ class BlockJoiner:
         self._text = text_reader(bag, str(self.topics[DESCRIPTION]))
         self.rig: RigDescription | None = None
         self._waiting: deque[tuple[int, Any, int, RigDescription | None]] = deque()
-        self._truths: dict[int, Any] = {}
+        self._truths: dict[int, tuple[int, Any]] = {}  # by number: stamp [ns] and samples
         self._last_block: int | None = None
         self._last_truth: int | None = None
 
@@ -97,11 +97,13 @@ class BlockJoiner:
             raise RecordingError(f"{message.topic} numbers its samples in {samples['seq'].dtype}, not in whole numbers")
         if message.topic == self.topics[TRUTH]:
             self._last_truth = int(samples["seq"][0])
-            self._truths[self._last_truth] = samples
+            self._truths[self._last_truth] = (stamp, samples)
         else:
             seq = int(samples["seq"][0])
             if self._last_block is not None and samples_ahead(seq, self._last_block) <= 0:
-                self._last_truth = None  # another run: the truths of the one before tell nothing of its blocks
+                # Another run: the truths of the one before tell nothing of its blocks, whatever their numbers.
+                self._last_truth = None
+                self._truths = {number: truth for number, truth in self._truths.items() if truth[0] >= stamp}
             self._last_block = seq
             self._waiting.append((stamp, samples, message.log_time, self.rig))
         while self._waiting and self.rig is not None and not self._truth_may_come():
@@ -125,7 +127,8 @@ class BlockJoiner:
 
     def _next(self, rig: RigDescription) -> RecordedBlock:
         stamp, daq, log_time, known = self._waiting.popleft()
-        return RecordedBlock(stamp, daq, self._truths.pop(int(daq["seq"][0]), None), known or rig, log_time)
+        _, truth = self._truths.pop(int(daq["seq"][0]), (stamp, None))
+        return RecordedBlock(stamp, daq, truth, known or rig, log_time)
 
 
 def recorded_blocks(bag: Bag) -> Iterator[RecordedBlock]:

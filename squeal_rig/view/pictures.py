@@ -43,14 +43,14 @@ def spectrum_lines(displacement: Values, sample_rate: float, high: float, points
     """Spectrum of a displacement (n,) [m] up to `high` [Hz], at most `points` lines.
 
     The level of a line is that of its RMS, as the squeal detector's is: a tone has the same in both.
-    Where there are more, each is the greatest of its neighbours, so that no peak gets lost; its frequency is the first
-    of theirs.
+    Where there are more, each is the greatest of its neighbours, so that no peak gets lost or is moved.
     """
     frequencies, amplitudes = amplitude_spectrum(displacement, sample_rate)
     count = int(np.searchsorted(frequencies, high, side="right"))
     step = max(1, -(-count // points))
-    starts = np.arange(0, count, step)
-    greatest = np.maximum.reduceat(amplitudes[:count], starts)
+    groups = np.full((-(-count // step), step), -1.0)
+    groups.flat[:count] = amplitudes[:count]
+    greatest = step * np.arange(len(groups)) + groups.argmax(axis=1)
     with np.errstate(divide="ignore"):
-        levels = 20.0 * np.log10(greatest / (math.sqrt(2.0) * REFERENCE))
-    return Lines(frequencies[starts], np.maximum(levels, FLOOR_DB))
+        levels = 20.0 * np.log10(amplitudes[greatest] / (math.sqrt(2.0) * REFERENCE))
+    return Lines(frequencies[greatest], np.maximum(levels, FLOOR_DB))

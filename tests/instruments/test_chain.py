@@ -339,6 +339,12 @@ def test_torque_is_held_at_the_inverters_own_rate(rate, update):
         assert len(changes) == pytest.approx((3.0 - 0.003) * update, abs=2)
 
 
+def test_noise_that_the_low_pass_takes_away_does_not_pull_the_torques_mean_from_its_range():
+    noisy = of_torque(range=60.0, noise_density=0.3, filter_time=0.02)  # 48 N m before the low-pass
+    told = measured(noisy, "motor_torque", np.full(4 * RATE, 40.0))
+    assert np.mean(told[RATE:]) == pytest.approx(40.0, abs=0.5)
+
+
 def test_torques_low_pass_by_its_step():
     n = 4000
     true = np.where(np.arange(n) < 1000, 0.0, 20.0)

@@ -85,6 +85,30 @@ def test_truth_is_joined_however_late_and_missed_only_where_it_is_not_there(bag:
     assert all(np.array_equal(b.daq["x"], b.truth["x"]) for b in blocks if b.truth is not None)
 
 
+def test_a_left_over_truth_is_not_joined_to_the_next_runs_block_of_its_number(tmp_path: Path):
+    from squeal_rig.recording import Bag
+
+    with BagWriter(tmp_path / "bag") as writer:
+        description = writer.add_topic("/rig/description", STRING.type_name, schema=STRING)
+        daq = writer.add_topic("/daq/samples", CLOUD.type_name, schema=CLOUD)
+        truth = writer.add_topic("/truth/samples", CLOUD.type_name, schema=CLOUD)
+        writer.write(description, string_cdr(RigDescription(PARAMETERS).to_yaml()), 10**18, 10**18)
+        for run, (lost_block, lost_truth) in enumerate(((7, 0), (0, 7))):
+            rig = Acquisition(VirtualRig(), PARAMETERS.replace(preload=50.0 + 100.0 * run), RigSettings())
+            rig.start(10**18 + run * 10**9)
+            for number in range(1, 21):
+                block = rig.next_block()
+                topics = ((daq, block.daq, lost_block), (truth, block.truth, lost_truth))
+                # The second run's truths come first.
+                for topic, samples, lost in topics if run == 0 else topics[::-1]:
+                    if number != lost:
+                        writer.write(topic, cdr_from_samples(samples, block.stamp), block.stamp, block.stamp)
+            rig.close()
+    blocks = list(recorded_blocks(Bag(tmp_path / "bag")))
+    assert [place for place, block in enumerate(blocks) if block.truth is None] == [19 + 6]
+    assert all(np.array_equal(b.daq["x"], b.truth["x"]) for b in blocks if b.truth is not None)
+
+
 def test_the_run_falls_into_quiet_and_squeal(bag: Path):
     analysis = analyse_bag(bag)
     quiet, squeal = list(segment_rows(analysis))

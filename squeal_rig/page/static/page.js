@@ -188,12 +188,14 @@ const page = (() => {
     const gone = !heardOf("rig");
     // What was last said of a rig that is gone, or that gives no samples, is not so any more.
     const silent = live && (gone || state.silent > 1.5);
+    // A page that was started a moment before the rig went has had samples of it, and no word of its health.
+    const known = rig || (state.blocks && state.silent > 1.5);
     document.body.classList.toggle("stale", Boolean(silent));
     $("silence").hidden = !silent;
     $("silence").textContent = state.blocks ? `no samples for ${Math.round(state.silent)} s` : "no samples yet";
     const kind = gone || stopped || rig.level >= 2 ? "error" : rig.level === 1 ? "warn" : "ok";
     $("rig-state").textContent = !live ? `rig: ${state.rig.driver || "-"}`
-      : !rig ? "no rig is heard" : gone ? "rig: GONE" : stopped ? `STOPPED: ${told.safe.values.reason || "emergency stop"}`
+      : !known ? "no rig is heard" : gone ? "rig: GONE" : stopped ? `STOPPED: ${told.safe.values.reason || "emergency stop"}`
       : rig.level === 0 ? `rig: ${rig.message}` : `rig: ${["", "warning", "error"][rig.level]}`;
     $("rig-state").className = "chip big " + (live ? kind : "ok");
     const judged = n.squealing !== undefined && (!live || (!silent && heardOf("squeal_detector")));
@@ -354,8 +356,8 @@ const page = (() => {
       plots.line(view, (k) => x[k], y, "one", [], 1);
       view.axes();
       view = plots.begin($("spectrum"), { low: 0, high: hello.high / 1000, title: "f [kHz]" }, { low: -100, high: 40, title: "level [dB re 1 µm]" });
-      const s = frame.spectrum || [];
-      plots.line(view, (k) => frame.high / 1000 * k / Math.max(1, s.length - 1), s, "one", [], 1);
+      const at = frame.spectrum_at || [];
+      plots.line(view, (k) => at[k] / 1000, frame.spectrum || [], "one", [], 1);
       view.axes();
     } else if (hello && !hello.live) {  // a time of a bag without samples
       for (const name of ["scope", "orbit", "spectrum"]) plots.begin($(name), { low: 0, high: 1, title: "" }, { low: 0, high: 1, title: "no samples here" }).axes();

@@ -8,6 +8,7 @@ is a tenth of the rig's.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
@@ -33,8 +34,8 @@ PRELOADS = (50.0, 125.0, 200.0)
 SPEEDS = (1.0, 2.0, 3.0, 4.0)
 #: Time at each operating point [s]: settling, and eight windows of 0.2 s.
 DWELL = 2.2
-# Stretches of the first point that the instruments see before; the temperature rises within a second.
-_WARMING = 4
+# Time constant of the temperature [s], and how much of a motion instruments see before [s]: 0.2 % of the rise is left.
+_WARMING, _WARM_AFTER = 1.0, 6.0
 
 
 @dataclass(frozen=True)
@@ -72,11 +73,7 @@ def measure(campaign: Campaign, seed: int) -> FrictionModel:
         ExperimentError: the points do not determine it.
     """
     settings = campaign.settings
-    # A campaign is run on a warm rig: what the sheets' bounds are of.
-    warm = dataclasses.replace(campaign.sheets.environment, temperature_time=1.0)
-    chain = Chain(dataclasses.replace(campaign.sheets, environment=warm), settings.sample_rate, seed)
-    for _ in range(_WARMING):
-        chain.measure(campaign.blocks[0].copy())
+    chain = warm_chain(campaign.sheets, settings.sample_rate, seed, campaign.blocks[0])
     estimator, regression, known = None, FrictionRegression(), None
     time = 0
     for daq, point in zip(campaign.blocks, campaign.set_points, strict=True):
@@ -95,6 +92,15 @@ def measure(campaign: Campaign, seed: int) -> FrictionModel:
     if model is None:
         raise ExperimentError("the points of the campaign do not determine the friction law")
     return model
+
+
+def warm_chain(sheets: DataSheets, sample_rate: int, seed: int, motion: Samples) -> Chain:
+    """One specimen of the instruments of a warm rig, which the sheets' bounds are of; it has seen `motion` before."""
+    warm = dataclasses.replace(sheets.environment, temperature_time=_WARMING)
+    chain = Chain(dataclasses.replace(sheets, environment=warm), sample_rate, seed)
+    for _ in range(math.ceil(_WARM_AFTER * sample_rate / len(motion))):
+        chain.measure(motion.copy())
+    return chain
 
 
 def described(p: RigParameters, sheets: DataSheets, settings: RigSettings) -> RigDescription:

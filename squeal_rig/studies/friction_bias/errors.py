@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from squeal_rig.instruments.acquisition import Acquisition
-from squeal_rig.instruments.chain import Chain
 from squeal_rig.instruments.data_sheets import DataSheets
 from squeal_rig.instruments.driver import Samples
 from squeal_rig.instruments.settings import BLOCKS_PER_SECOND, RigSettings
 from squeal_rig.instruments.virtual import VirtualRig
 from squeal_rig.model.parameters import RigParameters
-from squeal_rig.studies.friction_bias.campaign import described
+from squeal_rig.studies.friction_bias.campaign import described, warm_chain
 from squeal_rig.studies.friction_bias.estimators import ESTIMATORS, window_estimates
 from squeal_rig.studies.friction_bias.sources import ALL, IDEAL, Source
 
@@ -161,6 +160,6 @@ def _skipped(settings: RigSettings) -> int:
 def _seen(stretch: Stretch, sheets: DataSheets, seed: int) -> Samples:
     """The stretch as one specimen of the instruments reads it, without the time in which their filters settle."""
     seen = stretch.daq.copy()
-    Chain(sheets, stretch.settings.sample_rate, seed).measure(seen)
+    warm_chain(sheets, stretch.settings.sample_rate, seed, stretch.daq).measure(seen)
     kept: Samples = seen[_skipped(stretch.settings) :]
     return kept

@@ -27,9 +27,8 @@ _SOURCES: dict[str, dict[str, Sequence[str]]] = {
     "drum, torque: filter, delay, hold": {"belt_drive": (), "motor_torque": _TORQUE_DYNAMICS},
     "drum, torque: noise, resolution": {"belt_drive": (), "motor_torque": (*_TORQUE_NOISE, *_TORQUE_DYNAMICS)},
     "displacement": {"displacement": ()},
-    "acquisition: filter, bits, clock": {
-        "daq": ("anti_alias_order", "anti_alias_cutoff", "bits", "headroom", "clock_error")
-    },
+    # Not the clock's error: it moves frequencies, and no window's means.
+    "acquisition: filter, bits": {"daq": ("anti_alias_order", "anti_alias_cutoff", "bits", "headroom")},
     "temperature": {
         "environment": (),
         **dict.fromkeys(("arm_force", "preload", "displacement"), ("zero_drift", "sensitivity_drift")),
