@@ -43,7 +43,9 @@ class MessageSchema:
     encoding: str = "ros2msg"
 
     def conflict(self, other: MessageSchema) -> str | None:
-        """Return the name of a type that both define with other fields; None where the one reads the other's messages.
+        """Return the name of a type that another definition of this one defines otherwise, or not at all.
+
+        None where the one reads the other's messages.
 
         Comments, spacing and the packages of fields do not count: they differ between releases of the same definition.
         A part of another text without a head is in conflict with all: nobody reads by it.
@@ -54,8 +56,8 @@ class MessageSchema:
             heads = (part.partition("\n")[0] for part in _SEPARATORS.split(schema.text)[1:])
             if (headless := next((head for head in heads if not head.startswith(_HEADS)), None)) is not None:
                 return repr(headless[:60])
-        theirs = _fields_by_type(other)
-        return next((n for n, fields in _fields_by_type(self).items() if theirs.get(n, fields) != fields), None)
+        mine, theirs = _fields_by_type(self), _fields_by_type(other)
+        return next((name[:100] for name in mine | theirs if mine.get(name) != theirs.get(name)), None)
 
     def check_decodable(self) -> None:
         """Raise RecordingError where a definition is too long, or of a kind that lets a few bytes fill the memory."""

@@ -55,8 +55,9 @@ def test_a_definition_within_a_definition_counts(tmp_path):
         for inner in (FORCES, SWAPPED)
     )
     assert first.conflict(second) == "test_rig/Pair"
-    assert first.conflict(FORCES) is None
-    assert first.conflict(SWAPPED) == "test_rig/Pair"
+    nameless = MessageSchema(first.type_name, first.text.replace("MSG: test_rig/Pair\n", "MSG: test_rig/PairJ"))
+    assert first.conflict(nameless) == "test_rig/Pair"
+    assert nameless.conflict(first)
 
 
 def test_a_definition_that_nobody_can_read_by_is_no_other_wording_of_a_good_one(tmp_path):
