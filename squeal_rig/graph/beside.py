@@ -66,15 +66,19 @@ class Beside:
             if spent > self._limit:
                 found = self._asked, None, f"it took longer than {self._limit:g} s"
                 self._done()
-                self.close()
+                self._end()
             elif spent > self._patience and self._wanted not in (None, self._asked):
-                self.close()
+                self._end()
         if self._asked is None and self._wanted is not None:
             self._send()
         return found
 
     def close(self) -> None:
-        """End the process."""
+        """End the process; nothing is wanted any more."""
+        self._wanted = None
+        self._end()
+
+    def _end(self) -> None:
         process, self._process, self._asked = self._process, None, None
         if process is not None:
             process.kill()
@@ -100,7 +104,7 @@ class Beside:
         except ValueError:
             pass  # the end of its output, or no line of it: what comes below is for one that is gone
         process, asked = self._process, self._asked
-        self.close()
+        self._end()
         self.ended += 1
         if asked is None:
             return None

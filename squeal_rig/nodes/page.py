@@ -155,7 +155,8 @@ class PageNode(Node):
 
     def _on_trip(self, message: DiagnosticArray) -> None:
         for found in message.status:
-            self._picture.take_trip(str(found.message)[:300])
+            _, sentence, values = _status(found)
+            self._picture.take_trip(_stamp(message), values.get("level", ""), sentence)
 
     def _on_parameters(self, node: str, values: Values, _deleted: tuple[str, ...] = ()) -> None:
         if node == f"{self.get_namespace().rstrip('/')}/rig":

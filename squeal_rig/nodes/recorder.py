@@ -157,6 +157,7 @@ class RecorderNode(Node):
         values = {
             "directory": str(session.directory or ""),
             "bytes": session.bytes_written,
+            "state": session.state,
             "messages": session.message_count,
             "topics": len(self._topics),
             HEARD: ", ".join(self._topics.heard),

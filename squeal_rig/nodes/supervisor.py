@@ -59,7 +59,7 @@ class SupervisorNode(Node):
         self._heartbeat = self.create_publisher(UInt8, HEARTBEAT, qos.HEARTBEAT)
         self._stop = self.create_publisher(String, EMERGENCY_STOP, qos.EVENTS)
         self._set = self.create_client(SetParameters, "rig/set_parameters")
-        self._told: tuple[Level, str] | None = None
+        self._told: tuple[Level, set[str], str] | None = None
         self._rig = RigFollower(self, self._on_rig, self._on_block)
         self.create_subscription(DiagnosticArray, "squeal/state", self._on_squeal, qos.EVENTS)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_health, qos.EVENTS_IN)
@@ -144,8 +144,9 @@ class SupervisorNode(Node):
             self._rest()
         for event in supervisor.events():
             self._tell(event)
-        told = supervisor.level, supervisor.sentence
-        if self._told is None or told[0] != self._told[0] or (told[0] >= Level.RAMP_DOWN and told != self._told):
+        told = supervisor.level, {finding.rule for finding in supervisor.findings}, supervisor.sentence
+        # Sentences of a warning have numbers that change all the time.
+        if self._told is None or told[:2] != self._told[:2] or (told[0] >= Level.RAMP_DOWN and told != self._told):
             self._told = told
             self._publish_state()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections.abc import Sequence
@@ -16,14 +17,14 @@ from squeal_rig.estimation import hard_squeal
 from squeal_rig.estimation.stability_follower import IN_FORCE
 from squeal_rig.graph import qos
 from squeal_rig.graph.conversions import status_number
-from squeal_rig.graph.health import HealthPublisher
+from squeal_rig.graph.health import Health, HealthPublisher
 from squeal_rig.graph.lifetime import Lifetime, run_node
 from squeal_rig.graph.parameters import NODE_OPTIONS, DeclaredParameters
 from squeal_rig.graph.rig_follower import RigFollower
 from squeal_rig.instruments.channels import FRICTION_WINDOW_NEEDED, TRUTH_CHANNELS, block_from_cdr
 from squeal_rig.instruments.description import RigDescription
 from squeal_rig.instruments.driver import Samples
-from squeal_rig.view.follower import ARRAYS, NUMBERS, SCOPE_RATE, Numbers, ViewFollower
+from squeal_rig.view.follower import ARRAYS, LASTING, NUMBERS, SCOPE_RATE, Numbers, ViewFollower
 from squeal_rig.view.settings import ViewSettings
 
 
@@ -44,7 +45,7 @@ class ViewNode(Node):
         subscribe(PointCloud2, "friction/windows", self._on_window, qos.EVENTS, raw=True)
         subscribe(DiagnosticArray, "stability/summary", self._on_stability, qos.LATCHED)
         subscribe(DiagnosticArray, "squeal/state", self._on_squeal, qos.EVENTS)
-        HealthPublisher(self, lambda: self._rig.health({}))
+        HealthPublisher(self, self._health)
 
     def _on_rig(self, rig: RigDescription) -> None:
         if rig.sample_rate != self._sample_rate:
@@ -78,16 +79,24 @@ class ViewNode(Node):
             self._take(topic, float(window[name]))
 
     def _on_stability(self, message: DiagnosticArray) -> None:
-        for found in message.status:
-            if found.name == IN_FORCE:
-                self._take("view/margin", status_number(found, "margin"))
-            elif found.name == hard_squeal.NAME:
-                self._take("view/smallest_hit", status_number(found, hard_squeal.SMALLEST_HIT))
+        for name, topic, key in (
+            (IN_FORCE, "view/margin", "margin"),
+            (hard_squeal.NAME, "view/smallest_hit", hard_squeal.SMALLEST_HIT),
+        ):
+            found = next((found for found in message.status if found.name == name), None)
+            # What is not told any more was of another point.
+            self._take(topic, math.nan if found is None else status_number(found, key))
 
     def _on_squeal(self, message: DiagnosticArray) -> None:
         for found in message.status[:1]:
             self._take("view/squeal_level", status_number(found, "level [dB re 1 um]"))
             self._take("view/squeal_frequency", status_number(found, "frequency [Hz]"))
+
+    def _health(self) -> Health:
+        if not self.count_publishers("stability/summary"):  # nobody will say that it is not so any more
+            for topic in LASTING:
+                self._numbers.pop(topic, None)
+        return self._rig.health({})
 
     def _take(self, topic: str, value: float) -> None:
         self._numbers[topic] = value, time.monotonic()

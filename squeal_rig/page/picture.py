@@ -6,7 +6,7 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,8 @@ TREND, COLUMNS_PER_SECOND, COLUMN_LINES = 60.0, 4, 125
 #: Levels [dB re 1 um] between which a spectrogram has its colours.
 DARK_DB, BRIGHT_DB = -90.0, 20.0
 _GONE = 3.5  # a node whose health is older [s] is gone
+_OLD = 3.0  # what is said again and again is not so any more after this time [s]
+_AGAIN = ("squealing", "level", "frequency", "tones", "events")
 _MOST_EVENTS = 50
 _MOST_NODES = 64
 _OURS = ("rig", "supervisor", "recorder", "squeal_detector", "friction_estimator", "stability", "view", "page")
@@ -50,8 +52,10 @@ class SquealTable:
     def __init__(self) -> None:
         self.rows: deque[dict[str, float | None]] = deque(maxlen=_MOST_EVENTS)
 
-    def take(self, stamp: float, detected: bool, level: float, frequency: float, point: tuple[float, float]) -> None:
-        """Take a state of the squeal detector."""
+    def take(
+        self, stamp: float, begin: float, detected: bool, level: float, frequency: float, point: tuple[float, float]
+    ) -> None:
+        """Take a state of the squeal detector, and since when [s] it has been so."""
         last = self.rows[-1] if self.rows and self.rows[-1]["end"] is None else None
         if last is not None and not detected:
             last["end"] = stamp
@@ -59,7 +63,7 @@ class SquealTable:
             return
         loudest = {"level": level, "frequency": frequency, "preload": point[0], "belt_speed": point[1]}
         if last is None:
-            self.rows.append({"begin": stamp, "end": None, **loudest})
+            self.rows.append({"begin": begin, "end": None, **loudest})
         elif level > (last["level"] or -math.inf):
             last.update(loudest)
 
@@ -72,10 +76,18 @@ class Picture:
         bag: name of the bag that is shown; empty for a live rig.
         duration: length of the bag [s].
         namespace: the rig's, with a slash at its end where it is not empty; health of other rigs is only listed.
+        clock: tells the time [s] by which what has come grows old; that of a bag is the bag's.
     """
 
-    def __init__(self, control: bool, bag: str = "", duration: float = 0.0, namespace: str = "") -> None:
-        self._lock = threading.RLock()
+    def __init__(
+        self,
+        control: bool,
+        bag: str = "",
+        duration: float = 0.0,
+        namespace: str = "",
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._lock, self._clock = threading.RLock(), clock
         self._control, self._bag, self._duration, self._namespace = control, bag, duration, namespace
         self._description: RigDescription | None = None
         self._daq: Samples | None = None
@@ -90,9 +102,11 @@ class Picture:
         self._told: dict[str, Any] = {}
         self._progress, self._run_is_heard = Progress(), True
         self._limits: dict[str, Any] = {}
-        self._came = time.monotonic()
-        self._trips: deque[str] = deque(maxlen=20)
-        self._blocks = self.changes = 0
+        self._came = clock()
+        self._squeal_came = self._window_came = -math.inf
+        self._trips: deque[dict[str, Any]] = deque(maxlen=20)
+        self._blocks = 0
+        self._shown = {"time": 0.0, "trouble": ""}
 
     # --- what comes in
 
@@ -108,7 +122,8 @@ class Picture:
         with self._lock:
             self._daq = daq
             self._blocks += 1
-            self._came = time.monotonic()
+            self._columns.extend(self._dark_columns())
+            self._came = self._clock()
             if self._window is None or self._description is None:
                 return
             self._window.add(int(daq["seq"][0]), daq["x"])
@@ -127,6 +142,7 @@ class Picture:
     def take_window(self, t: float, mu: float, ratio_of_means: float, true: float) -> None:
         """Take friction of a window that ended at t [s]."""
         with self._lock:
+            self._window_came = self._clock()
             self._mu.append((t, mu, ratio_of_means, true))
 
     def take_stability(self, statuses: Mapping[str, Status]) -> None:
@@ -135,14 +151,18 @@ class Picture:
         with self._lock:
             if found is not None:
                 self._numbers |= {
-                    "unstable": found[1] == "unstable",
-                    "mu_set": number(found, "mu"),
+                    # Neither where there is no equilibrium: the message says so.
+                    "unstable": {"unstable": True, "stable": False}.get(found[1]),
+                    "stability": found[1],
                     "margin": number(found, "margin"),
                     "critical_stiffness": number(found, "k_cr [N/m]"),
                     "pad_stiffness": number(found, "k [N/m]"),
                 }
             hard = statuses.get(hard_squeal.NAME)
-            if hard is not None:
+            if hard is None:  # it is asked for no more: what it said was of another point
+                for name in ("zone", "smallest_hit", "hit_direction"):
+                    self._numbers.pop(name, None)
+            else:
                 self._numbers |= {
                     "zone": hard[2].get(hard_squeal.ZONE, hard[2].get(hard_squeal.STATE_KEY, "")),
                     "smallest_hit": number(hard, hard_squeal.SMALLEST_HIT),
@@ -153,15 +173,17 @@ class Picture:
         """Take a state of the squeal detector, of a time [s since the epoch]."""
         level, frequency = number(status, "level [dB re 1 um]"), number(status, "frequency [Hz]")
         detected = status[2].get("detected") == "true"
+        since = number(status, "since [s]")
         with self._lock:
+            self._squeal_came = self._clock()
             self._level.append((stamp, max(level, -200.0) if math.isfinite(level) else math.nan))
             self._numbers |= {"squealing": detected, "level": level, "frequency": frequency}
             self._numbers |= {
                 "tones": status[2].get("tones [Hz]", "")[:100],
                 "events": number(status, "events"),
-                "growth": number(status, "event growth [1/s]"),
             }
-            self._squeals.take(stamp, detected, level, frequency, self._point())
+            begin = since if math.isfinite(since) else stamp
+            self._squeals.take(stamp, begin, detected, level, frequency, self._point())
 
     def take_health(self, name: str, status: Status) -> None:
         """Take a node's health; where there are too many, the stranger goes that has been silent longest."""
@@ -169,7 +191,7 @@ class Picture:
             if name not in self._nodes and len(self._nodes) >= _MOST_NODES:
                 strangers = [known for known in self._nodes if known.removeprefix(self._namespace) not in _OURS]
                 del self._nodes[min(strangers, key=lambda known: self._nodes[known][0])]
-            self._nodes[name] = (time.monotonic(), status)
+            self._nodes[name] = (self._clock(), status)
 
     def take_told(self, what: str, status: Status) -> None:
         """Take the last word of `supervisor` or of `safe` (the rig's way to stop)."""
@@ -192,10 +214,14 @@ class Picture:
         with self._lock:
             self._limits |= {name: values[name] for name in known if isinstance(values.get(name), int | float)}
 
-    def take_trip(self, sentence: str) -> None:
-        """Take a trip of the supervisor."""
+    def take_trip(self, stamp: float, level: str, sentence: str) -> None:
+        """Take a finding, trip or reset of the supervisor, of a time [s since the epoch]."""
         with self._lock:
-            self._trips.append(sentence)
+            self._trips.append({"time": stamp, "level": level, "sentence": sentence})
+
+    def take_shown(self, time: float, trouble: str) -> None:
+        """Take which time of a bag [s after its beginning] is shown, and why it cannot be; empty where it can."""
+        self._shown = {"time": time, "trouble": trouble}
 
     def forget(self) -> None:
         """Forget what came, as before another piece of a bag is shown."""
@@ -205,6 +231,7 @@ class Picture:
             self._level.clear()
             self._squeals.rows.clear()
             self._numbers.clear()
+            self._squeal_came = self._window_came = -math.inf
             self._progress = Progress()
 
     @property
@@ -280,11 +307,12 @@ class Picture:
     def state(self) -> bytes:
         """Everything else: numbers, nodes, squeals, trends, the spectrogram. Each message is whole in itself."""
         with self._lock:
-            now = time.monotonic()
+            now = self._clock()
             known = [f"{self._namespace}{name}" for name in ("rig", "recorder")]
             nodes = [
                 {
                     "name": name,
+                    "gone": now - heard >= _GONE,
                     "level": level if now - heard < _GONE else 3,
                     "message": message if now - heard < _GONE else f"gone: not heard for {now - heard:.0f} s",
                     "values": dict(values) if name in known else {},
@@ -297,13 +325,15 @@ class Picture:
                 if rig is None
                 else {name: getattr(rig.parameters, name) for name in settable() if hasattr(rig.parameters, name)}
             )
-            mu = np.array(self._mu, float).reshape(-1, 4)
-            level = np.array(self._level, float).reshape(-1, 2)
+            mu = _aged(np.array(self._mu, float).reshape(-1, 4), now - self._window_came)
+            level = _aged(np.array(self._level, float).reshape(-1, 2), now - self._squeal_came)
+            old = _AGAIN if now - self._squeal_came > _OLD else ()
+            columns = (*self._columns, *self._dark_columns())[-(self._columns.maxlen or 0) :]
             values = {
-                "numbers": dict(self._numbers),
+                "numbers": {name: value for name, value in self._numbers.items() if name not in old},
                 "nodes": [] if self._bag else nodes,
                 "set": {**set_points, **self._numbers.get("hit_settings", {})},
-                "rig": {} if rig is None else {"driver": rig.driver, "rate": rig.sample_rate, "preset": rig.preset},
+                "rig": {} if rig is None else {"driver": rig.driver, "rate": rig.sample_rate},
                 "squeals": [dict(row) for row in self._squeals.rows],
                 "told": dict(self._told),
                 "run": {**self._progress.shown, "gone": not self._run_is_heard} if self._progress.shown else None,
@@ -311,16 +341,14 @@ class Picture:
                 "silent": now - self._came,
                 "trips": list(self._trips),
                 "blocks": self._blocks,
-                "columns": len(self._columns),
+                "columns": len(columns),
+                **self._shown,
             }
-            spectrogram = np.concatenate(self._columns) if self._columns else np.zeros(0, np.uint8)
-        arrays: dict[str, NDArray[Any]] = {"spectrogram": spectrogram}
-        if len(mu):
-            last = mu[-1, 0]
-            arrays |= {"mu_t": mu[:, 0] - last, "mu": mu[:, 1], "mu_means": mu[:, 2], "mu_true": mu[:, 3]}
+        arrays: dict[str, NDArray[Any]] = {"spectrogram": np.concatenate(columns) if columns else np.zeros(0, np.uint8)}
+        arrays |= {"mu_t": mu[:, 0], "mu": mu[:, 1], "mu_means": mu[:, 2], "mu_true": mu[:, 3]}
+        if len(mu) and mu[-1, 0] > -_OLD:
             values["mu"] = dict(zip(("windows", "means", "true"), map(float, mu[-1, 1:]), strict=True))
-        if len(level):
-            arrays |= {"level_t": level[:, 0] - level[-1, 0], "level": level[:, 1]}
+        arrays |= {"level_t": level[:, 0], "level": level[:, 1]}
         return packed("state", values, arrays)
 
     def take_hit_settings(self, values: Mapping[str, float]) -> None:
@@ -339,6 +367,12 @@ class Picture:
                 rows.append({"what": quantity.replace("_", " "), "unit": unit, **found})
         return rows
 
+    def _dark_columns(self) -> list[NDArray[np.uint8]]:
+        """Columns for the time since the last block, where that is long: what came before is not shown as of now."""
+        silent = 0.0 if self._bag or not self._blocks else self._clock() - self._came
+        count = round(min(silent, TREND) * COLUMNS_PER_SECOND) if silent > 1.0 else 0
+        return [np.zeros(COLUMN_LINES, np.uint8)] * count
+
     def _point(self) -> tuple[float, float]:
         if self._daq is not None:
             return float(self._daq["preload"][-1]), float(self._daq["belt_speed"][-1])
@@ -356,6 +390,15 @@ def column(samples: NDArray[np.float64], sample_rate: float) -> NDArray[np.uint8
     np.maximum.at(levels, place, lines.levels)
     scaled = np.clip((levels - DARK_DB) / (BRIGHT_DB - DARK_DB), 0.0, 1.0)
     return np.round(255.0 * scaled).astype(np.uint8)
+
+
+def _aged(rows: NDArray[np.float64], age: float) -> NDArray[np.float64]:
+    """Rows (n, m) whose first column, a time, is turned into seconds before now; the last one came `age` [s] ago."""
+    if not len(rows):
+        return rows
+    rows[:, 0] -= rows[-1, 0] + age
+    kept: NDArray[np.float64] = rows[rows[:, 0] >= -TREND]
+    return kept
 
 
 def number(status: Status, key: str) -> float:

@@ -17,6 +17,7 @@ from squeal_rig.page.packing import packed
 from squeal_rig.page.picture import COLUMN_LINES, COLUMNS_PER_SECOND, TREND, Picture, column
 from squeal_rig.recording import Bag, RawMessage, decoder_of
 from squeal_rig.recording.messages import statuses
+from squeal_rig.recording.replay import last_before
 from squeal_rig.samples.blocks import DAQ, DESCRIPTION, rig_topic, text_reader
 
 _WINDOW = 0.25  # a time shows the samples of so long before it [s]
@@ -48,30 +49,49 @@ class RecordedPicture:
         self._decoders = {
             what: decoder_of(self.bag.topics[topic].schema) for what, topic in self._others.items() if what != "windows"
         }
-        self.picture = Picture(False, path.name, self.bag.duration)
+        self._time = 0.0  # of what is being taken, and then of what is shown [s since the epoch]
+        self.picture = Picture(False, path.name, self.bag.duration, clock=lambda: self._time)
         self._columns: dict[int, NDArray[np.uint8]] = {}
         self._repeat = math.ceil(self.picture.trend * COLUMNS_PER_SECOND / _MOST_COLUMNS)  # of each column that is read
-        # Described and analysed once, mostly before the first sample: kept from the beginning of the bag on.
-        wanted = [description, *(self._others[w] for w in ("stability", "run") if w in self._others)]
+        # Told once, mostly before the first sample: kept from the beginning of the bag on.
+        wanted = [description, *([self._others["run"]] if "run" in self._others else [])]
         self._latched = [(m.log_time, m.topic, m.data) for m in self.bag.messages(wanted)]
 
     def at(self, time: float) -> list[bytes]:
-        """The messages for a time [s after the bag's first message]."""
-        now = self.bag.start_time + round(min(time, self.bag.duration) * 1e9)
+        """The messages for a time [s after the bag's first message]; without anything where it cannot be read."""
+        time = min(time, self.bag.duration)
+        now = self.bag.start_time + round(time * 1e9)
+        self.picture.forget()
+        try:
+            frame, trouble = self._read(now), ""
+        except RecordingError as error:
+            frame, trouble = None, str(error)
+            self.picture.forget()
+        self.picture.take_shown(time, trouble)
+        self._time = now * 1e-9
+        if frame is None:  # no samples here: nothing of another time is left to be seen
+            frame = packed("frame", {}, {"x": np.zeros(0), "y": np.zeros(0)})
+        return [frame, self.picture.state()]
+
+    def _read(self, now: int) -> bytes | None:
+        """Fill the picture; the frame of the time [ns], None where there are no samples."""
         picture = self.picture
-        picture.forget()
         self._take_latched(now)
-        topics = [self._others[what] for what in ("squeal", "windows") if what in self._others]
-        if topics:
-            for message in self.bag.messages(topics, now - round(TREND * 1e9), now + 1):
+        analysed: RawMessage | None = None
+        topics = [self._others[what] for what in ("squeal", "windows", "stability") if what in self._others]
+        begin = now - round(TREND * 1e9)
+        for message in self.bag.messages(topics, begin, now + 1) if topics else []:
+            if message.topic == self._others.get("stability"):
+                analysed = message
+            else:
+                self._time = message.log_time * 1e-9
                 self._take(message)
+        self._take_analysed(analysed, begin)
         for samples in self._blocks(now, _WINDOW):
             picture.take_block(samples)
         frame = picture.frame()
         picture.replace_columns(self._spectrogram(now))
-        if frame is None:  # no samples here: nothing of another time is left to be seen
-            frame = packed("frame", {}, {"x": np.zeros(0), "y": np.zeros(0)})
-        return [frame, picture.state()]
+        return frame
 
     def _take_latched(self, now: int) -> None:
         told = [(log_time, topic, data) for log_time, topic, data in self._latched if log_time <= now]
@@ -80,13 +100,18 @@ class RecordedPicture:
         data = last.get(self._description, first)
         if data is not None:
             self.picture.take_rig(RigDescription.from_yaml(self._text(data)))
-        stability, run = self._others.get("stability"), self._others.get("run")
-        if stability in last:
-            self.picture.take_stability(dict(statuses(self._decoders["stability"](last[stability]))))
+        run = self._others.get("run")
         for log_time, topic, data in told:
             if topic == run:
                 for _, status in statuses(self._decoders["run"](data)):
                     self.picture.take_run(log_time * 1e-9, status)
+
+    def _take_analysed(self, last: RawMessage | None, begin: int) -> None:
+        """Take the last analysis, which may be older than what is shown: it is told on changes, and with friction."""
+        if last is None and "stability" in self._others:
+            last = next(iter(last_before(self.bag, [self._others["stability"]], begin)), None)
+        if last is not None:
+            self.picture.take_stability(dict(statuses(self._decoders["stability"](last.data))))
 
     def _take(self, message: RawMessage) -> None:
         if message.topic == self._others.get("windows"):

@@ -38,6 +38,7 @@ from squeal_rig.safety.supervisor import ENDED, INACTIVE, STATE_KEY
 
 # Discovery of a service took up to 2.3 s where it was measured.
 _SERVICE_TIMEOUT = 10.0
+_ASK_AGAIN = 1.0
 _STALL_TIMEOUT = 10.0
 # Nodes on other machines are mostly found within this time [s].
 _DISCOVERY = 0.5
@@ -121,11 +122,13 @@ class LiveGraph:
         self._node.declare_parameter(FITTED, "")
         self._node.add_on_set_parameters_callback(self._refuse_others)
         self._events = self._node.create_publisher(DiagnosticArray, "run/events", qos.RUN_EVENTS)
-        self._set = self._node.create_client(SetParametersAtomically, "rig/set_parameters_atomically")
         self._change_state = self._node.create_client(ChangeState, "rig/change_state")
         self._triggers = {
             name: self._node.create_client(Trigger, f"rig/{name}") for name in ("reset", "impact", "zero")
         }
+        # The last one, see `_introduce`.
+        self._set = self._node.create_client(SetParametersAtomically, "rig/set_parameters_atomically")
+        self._known = False
 
     def close(self) -> None:
         """Leave the graph."""
@@ -335,7 +338,29 @@ class LiveGraph:
                 raise ExperimentError(f"no block of samples came for {_STALL_TIMEOUT:g} s")
             self.spin()
 
+    def _introduce(self, timeout: float) -> None:
+        """Wait until the rig knows our clients.
+
+        A server drops its answer where it has not found the client's reader yet, and a transition or a hit must not be
+        asked for twice. Clients are found in the order in which they were made: the last one asks for nothing, until it
+        has an answer.
+        """
+        self.wait_for(self._set.service_is_ready, f"service {self._set.srv_name}", timeout)
+        asked, futures = -math.inf, []
+
+        def answered() -> bool:
+            nonlocal asked
+            if time.monotonic() - asked > _ASK_AGAIN:
+                asked = time.monotonic()
+                futures.append(self._set.call_async(SetParametersAtomically.Request()))
+            return any(future.done() for future in futures)
+
+        self.wait_for(answered, f"an answer of {self._set.srv_name}", timeout)
+        self._known = True
+
     def _answer(self, client: Any, request: Any, timeout: float = _SERVICE_TIMEOUT) -> Any:
+        if not self._known:
+            self._introduce(timeout)
         self.wait_for(client.service_is_ready, f"service {client.srv_name}", timeout)
         future = client.call_async(request)
         self.wait_for(future.done, f"the answer of {client.srv_name}", timeout)
@@ -375,7 +400,7 @@ class LiveGraph:
         statuses = {found.name: found for found in message.status}
         # What is in force, once samples have come.
         found = statuses.get(IN_FORCE, message.status[0])
-        self.state.unstable = found.message == "unstable"
+        self.state.unstable = {"unstable": True, "stable": False}.get(found.message)
         self.state.mu_set = status_number(found, "mu")
         self.state.pad_stiffness = status_number(found, "k [N/m]")
         self.state.critical_stiffness = status_number(found, "k_cr [N/m]")

@@ -159,6 +159,7 @@ def test_contact_loss_and_nonlinear_frequency_can_be_targets():
         ("targets: PAPER\nfree: {preload: {lower: 3, upper: 20}}", "preload is set by the targets"),
         ("targets: PAPER\nfree: {friction_speed: }", "friction_speed is a choice of words: it cannot be free"),
         ("targets: PAPER\nfree: {mass: }\ntied: {k4: k3}", "must tie a parameter that is not free to one that is"),
+        ("targets: PAPER\nfree: {mass: }\ntied: {k4: {a: 1}}", "must tie a parameter that is not free to one that is"),
         ("targets: PAPER\nfree: {mass: }\nweights: {mass: 1}", "weights: unknown key 'mass'"),
         ("targets: PAPER\nfree: {mass: }\nweights: {squeal_frequency: 0}", "every weight is zero"),
         ("targets: PAPER\nfree: {mass: }\nmeasure: median", "measure = 'median' is not known: it must be one of rms"),

@@ -91,16 +91,18 @@ class FaultBench:
         """Inject a fault; returns the time [s since the epoch]."""
         part = self.faults.parent / "part"
         part.write_text(str(content))
+        begun = time.time()
         part.rename(self.faults / name)  # never half written
-        return time.time()
+        return begun
 
     def clear(self):
         for path in self.faults.iterdir():
             path.unlink()
 
     def ask_stop(self, reason):
+        begun = time.time()
         self.asking.publish(String(data=reason))
-        return time.time()
+        return begun
 
     def reset_supervisor(self, reason):
         self.observer.set({"reset_reason": reason}, node="supervisor")

@@ -3,6 +3,7 @@
 import argparse
 import hashlib
 import importlib
+import math
 import random
 import re
 import shutil
@@ -57,8 +58,8 @@ def signature(text):
     return re.sub(r"0x[0-9a-f]+|\d{5,}|/tmp/\S+", "#", f"{first} {error.partition(':')[0]}{where}".strip())[:200]
 
 
-def run_class(kind, seed, seconds, corpus, findings):
-    """Try inputs of one class until its time is over; returns how many."""
+def run_class(kind, seed, seconds, batches, corpus, findings):
+    """Try inputs of one class until its time is over or so many batches are tried; returns how many."""
     module = importlib.import_module(f"tests.fuzz.{kind}")
     module.make_corpus(corpus)
     child = getattr(module, "Tester", BoundedChild)(kind, corpus)
@@ -78,7 +79,7 @@ def run_class(kind, seed, seconds, corpus, findings):
         made = list(module.made(corpus))
         random.Random(seed).shuffle(made)
         batch = 0
-        while time.monotonic() < deadline:
+        while time.monotonic() < deadline and batch < batches:
             run = given(module.cases(corpus))(examine)
             # Not one of hypothesis' own limits: no input is too large or too slow for what is tried here.
             limits = {"deadline": None, "database": None, "suppress_health_check": list(HealthCheck)}
@@ -118,6 +119,7 @@ def main():
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz")
     parser.add_argument("--minutes", type=float, default=2.0, help="time in all, without what is made first")
     parser.add_argument("--seed", type=int, help="the same seed gives the same inputs, as far as the time goes")
+    parser.add_argument("--batches", type=int, help="of each class at most: the same inputs on every machine")
     parser.add_argument("--only", default=",".join(SHARES), help="classes, by commas")
     parser.add_argument("--again", type=Path, help="try a saved input once more")
     options = parser.parse_args()
@@ -135,7 +137,8 @@ def main():
             corpus = Path(folder) / kind
             corpus.mkdir()
             begin = time.monotonic()
-            tried[kind] = run_class(kind, seed, 60.0 * options.minutes * SHARES[kind] / whole, corpus, findings)
+            seconds = 60.0 * options.minutes * SHARES[kind] / whole
+            tried[kind] = run_class(kind, seed, seconds, options.batches or math.inf, corpus, findings)
             _tell(f"{kind}: {tried[kind]} inputs tried in {time.monotonic() - begin:.0f} s")
     _tell(f"inputs: {', '.join(f'{kind} {count}' for kind, count in tried.items())}; seed {seed}")
     for (kind, name), count in sorted(findings.counts.items()):

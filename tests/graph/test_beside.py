@@ -51,6 +51,14 @@ def test_questions_are_answered(beside, woken):
     assert beside.look() is None
 
 
+def test_a_question_that_waits_at_the_close_starts_no_process_again(beside, woken):
+    beside.ask({"number": -30})
+    beside.ask({"number": 1})
+    beside.close()
+    assert beside.look() is None
+    assert beside._process is None
+
+
 def test_of_several_questions_the_latest_is_answered(beside, woken):
     for number in range(50):
         beside.ask({"number": number})

@@ -26,7 +26,7 @@ from squeal_rig.page.access import Access  # noqa: E402
 from squeal_rig.page.recorded import RecordedPicture  # noqa: E402
 from squeal_rig.page.server import PageServer  # noqa: E402
 from squeal_rig.page.sound import Sound  # noqa: E402
-from tests.graph.processes import PATIENT, parameters  # noqa: E402
+from tests.graph.processes import PATIENT, PATIENT_RIG, parameters  # noqa: E402
 
 # Low, so that a busy machine keeps up: the page is what is tried here.
 _RATE = 12800
@@ -48,7 +48,9 @@ def bench(compiled, processes, observer, config_file, tmp_path_factory):
     """Rig, recorder, squeal detector, supervisor and page; the page's address."""
     folder = tmp_path_factory.mktemp("bags")
     nodes = {
-        "simulator": processes.node("simulator", *arguments(config_file, sample_rate=_RATE, supervisor_required=False)),
+        "simulator": processes.node(
+            "simulator", *arguments(config_file, sample_rate=_RATE, supervisor_required=False, **PATIENT_RIG)
+        ),
         "recorder": processes.node("recorder", *arguments(config_file, autostart=False), cwd=folder),
         "squeal_detector": processes.node("squeal_detector", *arguments(config_file)),
         "supervisor": processes.node("supervisor", *arguments(config_file, nodes=["rig"], **PATIENT)),
@@ -96,6 +98,7 @@ def test_every_control_has_its_effect_on_the_graph(shown, bench, observer, confi
     assert "not a number" in shown.set("preload", "much")
     assert observer.get(["preload"]) == {"preload": 60.0}
     blocks = observer.follow_samples("daq/samples")
+    observer.wait_for(lambda: blocks, "samples")  # before the hit, whose ringing dies down
     assert "impact of" in shown.press("impact")
     observer.wait_for(
         lambda: blocks and max(abs(b.samples["x"] - b.samples["x"].mean()).max() for b in blocks) > 1e-7,
@@ -309,7 +312,7 @@ def test_the_page_comes_back_after_the_server_and_the_rig_were_killed(shown, ben
     port = int(re.search(r":(\d+)/", url)[1])
     for name, more in (
         ("page", {"port": port, "control": True}),
-        ("simulator", {"sample_rate": _RATE, "supervisor_required": False}),
+        ("simulator", {"sample_rate": _RATE, "supervisor_required": False, **PATIENT_RIG}),
     ):
         nodes[name].send(signal.SIGKILL)
         nodes[name].wait()

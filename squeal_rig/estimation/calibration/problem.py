@@ -232,7 +232,7 @@ def _read_tied(where: str, content: object, free: tuple[Free, ...]) -> dict[str,
     names = {item.name for item in free}
     tied = dict(mapping(where, content, tuple(declarations(RigParameters))))
     for name, other in tied.items():
-        if name in names or other not in names:
+        if name in names or not isinstance(other, str) or other not in names:
             raise ConfigurationError(f"{where}: {name}: {other!r} must tie a parameter that is not free to one that is")
     return tied
 

@@ -73,6 +73,11 @@ const page = (() => {
   function lost() {
     link("no connection: trying again", "error");
     document.body.classList.add("stale");
+    if (hello && hello.live) {  // nothing of what was said last is known to be so still
+      for (const id of ["rig-state", "squeal-state"]) { $(id).textContent = `${id.split("-")[0]}: not known`; $(id).className = "chip big error"; }
+      for (const id of ["supervisor-state", "recorder-state", "run-state"]) { $(id).textContent = "not known: no connection"; $(id).className = "error-text"; }
+      $("node-list").replaceChildren();
+    }
     heard = performance.now();
     setTimeout(connect, wait);
     wait = Math.min(2 * wait, 4000);
@@ -184,7 +189,7 @@ const page = (() => {
     const rig = state.nodes.find(own("rig"));
     const stopped = told.safe && told.safe.values.stopped === "true";
     const live = hello && hello.live;
-    const heardOf = (name) => state.nodes.some((node) => own(name)(node) && node.level < 3);
+    const heardOf = (name) => state.nodes.some((node) => own(name)(node) && !node.gone);
     const gone = !heardOf("rig");
     // What was last said of a rig that is gone, or that gives no samples, is not so any more.
     const silent = live && (gone || state.silent > 1.5);
@@ -208,12 +213,12 @@ const page = (() => {
     const rows = [
       ...(live ? [["the rig says", stopped ? told.safe.message : rig ? rig.message : "nothing"]] : []),
       ["zone", seen.zone || "-"],
-      ["stability", seen.unstable === undefined ? "-" : `${seen.unstable ? "unstable" : "stable"}, margin ${shown(seen.margin, 3)}`],
+      ["stability", typeof seen.unstable === "boolean" ? `${seen.stability}, margin ${shown(seen.margin, 3)}` : seen.stability || "-"],
       ["preload in force", shown(n.preload, 5, "N")], ["preload set", shown(set.preload, 5, "N")],
       ["belt speed in force", shown(n.belt_speed, 4, "m/s")], ["belt speed set", shown(set.belt_speed, 4, "m/s")],
       ["µ, Eq. (2.2)", shown(mu.windows, 4)], ["µ, ratio of means", shown(mu.means, 4)], ["µ, truth", shown(mu.true, 4)],
       ["k", shown(seen.pad_stiffness, 4, "N/m")], ["k_cr", shown(seen.critical_stiffness, 4, "N/m")],
-      ["smallest hit", shown(seen.smallest_hit, 3, "N s")],
+      ["smallest hit", shown(seen.smallest_hit, 3, "N s") + (seen.smallest_hit > 0 ? `, direction ${shown(seen.hit_direction, 4)} rad` : "")],
       ["squeal level", shown(n.level, 4, "dB re 1 µm")],
       ["tones", !n.tones ? "-" : n.tones === "none" ? "none" : n.tones.split(" ").map((f) => shown(Number(f), 5)).join(", ") + " Hz"],
       ["tones as events so far", shown(n.events, 6)],
@@ -230,7 +235,11 @@ const page = (() => {
       const force = { preload: n.preload, belt_speed: n.belt_speed }[one.name];
       const value = typeof set[one.name] === "number" ? shown(set[one.name], 8) : set[one.name];
       note.textContent = `set ${value}` + (force === undefined ? "" : `, in force ${shown(force, 5)}`) + (one.bounds ? `; ${one.bounds}` : "");
-      if (input.value === "" && document.activeElement !== input) input.value = value;
+      // A choice is never empty: it takes the rig's once.
+      if ((input.value === "" || (one.options.length && !input.dataset.filled)) && document.activeElement !== input) {
+        input.value = value;
+        input.dataset.filled = "yes";
+      }
     }
     $("hit-note").textContent = `Impact of ${shown(set.impact_impulse, 4, "N s")}; smallest that squeals: `
       + (seen.smallest_hit === 0 ? "none is needed" : shown(seen.smallest_hit, 3, "N s"));
@@ -238,8 +247,10 @@ const page = (() => {
     const word = ["OK", "WARN", "ERROR", "STALE"];
     list($("node-list"), state.nodes.map((node) => `${word[node.level] || "?"} ${node.name}: ${node.message}`), state.nodes.map((node) => level[node.level]));
     const recorder = state.nodes.find(own("recorder"));
-    $("recorder-state").textContent = recorder
-      ? `${recorder.message}, ${shown(Number(recorder.values.bytes) / 1e6, 4, "MB")}` : "no recorder is heard";
+    const recording = recorder && !recorder.gone && recorder.values.state;
+    $("recorder-state").textContent = !recorder ? "no recorder is heard" : [...new Set([recording, recorder.message])].filter(Boolean).join("; ")
+      + (recording ? `, ${shown(Number(recorder.values.bytes) / 1e6, 4, "MB")}` : "");
+    $("recorder-state").className = recorder ? level[recorder.level] : "";
     const superv = told.supervisor, lost = superv && !heardOf("supervisor");
     $("supervisor-state").textContent = !superv ? "no supervisor is heard" : lost ? "supervisor: GONE, nobody watches the limits"
       : `${superv.values.level || ""}: ${superv.message}`;
@@ -248,11 +259,15 @@ const page = (() => {
     $("limits").hidden = !state.limits.length;
     table("limit-rows", state.limits.map((one) => [`${one.what} [${one.unit}]`, ...[one.warn, one.ramp_down, one.stop].map((v) => shown(v, 6))]));
     list($("findings"), superv ? Object.entries(superv.values).filter(([k]) => k.startsWith("finding")).map(([k, v]) => `${k.slice(8)}: ${v}`) : []);
-    list($("trips"), [...state.trips].reverse());
-    showRun(state.run, live);
     const clock = (t) => new Date(1000 * t).toISOString().slice(11, 21);
+    list($("trips"), [...state.trips].reverse().map((one) => `${clock(one.time)} UTC, ${one.level}: ${one.sentence}`));
+    showRun(state.run, live);
+    if (!live) {
+      $("time-shown").textContent = `${state.time.toFixed(2)} s of ${hello.duration.toFixed(2)} s`;
+      if (state.trouble) say(false, state.trouble);
+    }
     table("squeal-rows", [...state.squeals].reverse().map((one) => [
-      clock(one.begin), one.end === null ? "goes on" : clock(one.end), shown(one.frequency, 5), shown(one.level, 3),
+      clock(one.begin), one.end !== null ? clock(one.end) : judged ? "goes on" : "not known", shown(one.frequency, 5), shown(one.level, 3),
       shown(one.preload, 4), shown(one.belt_speed, 3),
     ]));
     $("sound-state").textContent = sound.state();
@@ -273,6 +288,7 @@ const page = (() => {
   function showRun(run, live) {
     $("run-progress").hidden = !(run && run.of && !run.ended);
     $("springs-fitted").hidden = !live || !run || run.gone || Boolean(run.ended);
+    $("run-state").className = "";
     $("run-last").textContent = run && run.last ? `last: ${run.last}` : "";
     if (!run) { $("run-state").textContent = "none runs"; return; }
     const one = run.kind === "campaign" ? "point" : "step";
@@ -321,10 +337,11 @@ const page = (() => {
       pen.font = "12px system-ui, 'DejaVu Sans', sans-serif";
     }
     const f = frame ? frame.preload : NaN, v = frame ? frame.belt_speed : NaN;
-    if (Number.isFinite(f)) {
+    const inside = f >= x.low && f <= x.high && v >= y.low && v <= y.high;
+    if (inside) {
       pen.save();
       pen.beginPath(); pen.rect(box.left, box.top, box.right - box.left, box.bottom - box.top); pen.clip();
-      const cx = Math.min(Math.max(px(f), box.left), box.right), cy = Math.min(Math.max(py(v), box.top), box.bottom);
+      const cx = px(f), cy = py(v);
       for (const [colour, size] of [["panel", 8], ["mark", 5]]) {
         pen.fillStyle = plots.look(colour);
         pen.beginPath(); pen.arc(cx, cy, size, 0, 7); pen.fill();
@@ -334,7 +351,7 @@ const page = (() => {
       pen.restore();
     }
     view.axes();
-    $("map-legend").textContent = !map ? (hello && !hello.live ? "Zones are computed for a live rig." : "") : map.rows ? "The ring is where the rig stands." : `Map: ${map.state}`;
+    $("map-legend").textContent = !map ? (hello && !hello.live ? "Zones are computed for a live rig." : "") : map.rows ? (inside ? "The ring is where the rig stands." : Number.isFinite(f) ? "The rig stands outside the map." : "") : `Map: ${map.state}`;
   }
 
   function draw() {
@@ -400,7 +417,7 @@ const page = (() => {
 
   function seek() {
     const t = Number($("time").value);
-    $("time-shown").textContent = `${t.toFixed(2)} s of ${hello.duration.toFixed(2)} s`;
+    $("time-shown").textContent = `${t.toFixed(2)} s is being read`;
     tell({ seek: t });
   }
 
