@@ -287,7 +287,7 @@ const page = (() => {
 
   function showRun(run, live) {
     $("run-progress").hidden = !(run && run.of && !run.ended);
-    $("springs-fitted").hidden = !live || !run || run.gone || Boolean(run.ended);
+    $("springs-fitted").hidden = !live || !run || run.kind === "run" || run.gone || Boolean(run.ended);
     $("run-state").className = "";
     $("run-last").textContent = run && run.last ? `last: ${run.last}` : "";
     if (!run) { $("run-state").textContent = "none runs"; return; }
