@@ -112,6 +112,10 @@ def operators_page(
     address: Annotated[str | None, typer.Option(help="Address to listen on; 127.0.0.1 by default.")] = None,
     port: Annotated[int | None, typer.Option(help="Port to listen on; 8460 by default.", min=0, max=65535)] = None,
     token_file: Annotated[Path | None, typer.Option(help="File with the token that every request must show.")] = None,
+    hosts: Annotated[
+        list[str] | None,
+        typer.Option("--host", help="Name, besides the address, under which browsers may reach it; may be repeated."),
+    ] = None,
     control: Annotated[bool, typer.Option("--control", help="Let the page operate the rig.")] = False,
 ) -> None:
     """The operator's page of the rig that runs on this ROS domain, or of a bag."""
@@ -121,7 +125,7 @@ def operators_page(
     _need_page()
     parameters = config or config_directory() / "rig.yaml"
     check_file(parameters)
-    given: dict[str, str | bool | int | None] = {"address": address, "port": port, "control": control or None}
+    given: dict[str, Any] = {"address": address, "port": port, "hosts": hosts or None, "control": control or None}
     given["token_file"] = str(token_file) if token_file is not None else None
     chosen = {name: value for name, value in given.items() if value is not None}
     if bag is not None:

@@ -94,7 +94,7 @@ class Operator:
             if command.name in _TEXTS:
                 taken, refusal = await self._give_text(command)
                 if not taken or command.name not in self._triggers:
-                    return taken, refusal or f"{command.text}: confirmed"
+                    return taken, _sentence(taken, refusal, f"{command.text}: confirmed")
             if command.name in ("pause", "resume"):
                 answer = await self._answer(self._pause, SetBool.Request(data=command.name == "pause"))
             else:
@@ -117,7 +117,7 @@ class Operator:
 
     async def _stop(self) -> tuple[bool, str]:
         """By the topic first, which waits for nobody; then by the service, whose answer is the driver's."""
-        self._stop_topic.publish(String(data="asked for on the page"))
+        self._stop_topic.publish(String(data=f"asked for by {self._node.get_name()}"))
         try:
             answer = await self._answer(self._stop_service, Trigger.Request(), _STOP_TIMEOUT)
         except LookupError as error:
@@ -131,7 +131,8 @@ class Operator:
             f"{name} = {value:g}" if isinstance(value, float) else f"{name} = {value}"
             for name, value in command.values.items()
         )
-        return bool(answer.result.successful), str(answer.result.reason) or done
+        successful, reason = bool(answer.result.successful), str(answer.result.reason)
+        return successful, _sentence(successful, reason, done)
 
     async def _answer(self, client: Any, request: Any, timeout: float = _TIMEOUT) -> Any:
         """The answer of a service; LookupError, with a sentence, where there is none."""
@@ -159,3 +160,8 @@ class Operator:
         except asyncio.TimeoutError:
             client.remove_pending_request(asked)
             raise LookupError(f"{client.srv_name} did not answer within {timeout:g} s") from None
+
+
+def _sentence(successful: bool, reason: str, done: str) -> str:
+    """What an answer says: its reason, or, where it gives none, whether it was done."""
+    return reason or (done if successful else "refused, and no reason was given")

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import re
 import secrets
 import sys
 import time
 from collections.abc import Sequence
+from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeoutError
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -40,8 +42,8 @@ from squeal_rig.graph.parameters import NODE_OPTIONS, DeclaredParameters
 from squeal_rig.graph.rig_follower import RigFollower
 from squeal_rig.instruments.description import RigDescription
 from squeal_rig.instruments.driver import Samples
-from squeal_rig.page.access import Access, read_token
-from squeal_rig.page.commands import EMERGENCY_STOP, PLAIN, command_of
+from squeal_rig.page.access import Access, in_url, read_token
+from squeal_rig.page.commands import EMERGENCY_STOP, PLAIN, Command, RefusedError, command_of
 from squeal_rig.page.gate import Gate
 from squeal_rig.page.settings import FoxgloveSettings
 from squeal_rig.recording import installed_schema
@@ -51,6 +53,7 @@ from squeal_rig.view.sound import WithoutOffset
 
 _LOOK_EVERY = 0.5
 _ANSWER_TIMEOUT = 75.0  # longer than the operator waits for anything
+_SET_TIMEOUT = 0.5  # nothing else of a client is read for so long [s] while its parameters are set
 _AUDIO = "pad/sound"
 _FULL_SCALE = 20e-6  # displacement [m] that is full scale of the sound
 _TRIGGER = "std_srvs/srv/Trigger"
@@ -62,7 +65,7 @@ class _Topic:
     type_name: str
     latched: bool = False
     subscription: Any = None
-    last: dict[str, bytes] = field(default_factory=dict)
+    last: tuple[bytes, int] | None = None  # what is latched, and when it came [ns]
 
 
 class FoxgloveNode(Node, ServerListener):
@@ -80,6 +83,7 @@ class FoxgloveNode(Node, ServerListener):
         self._control, self._patterns = settings.control, settings.topics
         self._operator = Operator(self)
         self._values: dict[str, Any] = {}
+        self._unanswered: list[Future[None]] = []  # settings of parameters
         self._topics: dict[str, _Topic] = {}
         self._unknown: set[str] = set()
         self._passed = 0
@@ -108,7 +112,7 @@ class FoxgloveNode(Node, ServerListener):
         self._watch = ParameterWatch(self, self._on_parameters, self._on_parameters)
         self.create_timer(_LOOK_EVERY, self._look, clock=STEADY)
         HealthPublisher(self, self._health)
-        shown = f"[{settings.address}]" if ":" in settings.address else settings.address
+        shown = in_url(settings.address)
         self.greeting = f"Foxglove connects to ws://{shown}:{self._gate.port}"
 
     def close(self) -> None:
@@ -149,7 +153,7 @@ class FoxgloveNode(Node, ServerListener):
             elif not topic.channel.has_sinks() and topic.subscription is not None:
                 self.destroy_subscription(topic.subscription)
                 topic.subscription = None
-                topic.last.clear()  # it is not followed any more
+                topic.last = None  # it is not followed any more
 
     def _offer(self, name: str, types: Sequence[str]) -> None:
         try:
@@ -176,17 +180,18 @@ class FoxgloveNode(Node, ServerListener):
 
         def take(data: bytes) -> None:
             self._passed += 1
+            now = time.time_ns()
             if topic.latched:
-                topic.last["message"] = data
-            topic.channel.log(data, log_time=time.time_ns())
+                topic.last = data, now
+            topic.channel.log(data, log_time=now)
 
         topic.subscription = self.create_subscription(message_class(topic.type_name), name, take, request, raw=True)
 
     def on_subscribe(self, _client: Any, channel: Any) -> None:
-        """Somebody wants a topic: what is latched is said again."""
+        """Somebody wants a topic: what is latched is said again, to all of its clients, of the time when it came."""
         topic = self._topics.get(channel.topic)
-        if topic is not None and "message" in topic.last:
-            topic.channel.log(topic.last["message"], log_time=time.time_ns())
+        if topic is not None and (last := topic.last) is not None:
+            topic.channel.log(last[0], log_time=last[1])
 
     # --- sound
 
@@ -228,17 +233,35 @@ class FoxgloveNode(Node, ServerListener):
     def on_set_parameters(
         self, _client: Any, parameters: list[Parameter], request_id: str | None = None
     ) -> list[Parameter]:
-        """Set parameters of the rig, checked as the page does; what the rig has afterwards goes back."""
+        """Set parameters of the rig, checked as the page does; what the rig has then goes back.
+
+        The library reads nothing more of the client until this returns, an emergency stop neither. So a rig that does
+        not answer is waited for shortly, and once: what it has is told when it does, to those who follow parameters.
+        """
         del request_id
         names = [parameter.name for parameter in parameters]
         prefix = f"{self._rig_name}."
         values = {parameter.name.removeprefix(prefix)[:80]: parameter.get_value() for parameter in parameters}
-        done, sentence = self._do({"do": "set", "values": values})
+        try:
+            command = self._command({"do": "set", "values": values})
+        except RefusedError as error:
+            self.get_logger().warning(f"refused: {error}")
+            return self._told(names)
+        unanswered = [one for one in self._unanswered if not one.done()]
+        asked = asyncio.run_coroutine_threadsafe(self._set(command, names), self._gate.loop)
+        self._unanswered = [*unanswered, asked]
+        if not unanswered:
+            with contextlib.suppress(FutureTimeoutError):
+                asked.result(_SET_TIMEOUT)
+        return self._told(names)
+
+    async def _set(self, command: Command, names: Sequence[str]) -> None:
+        done, sentence = await self._operator.operate(command)
         if done:
-            self._values |= values
+            self._values |= command.values
         else:
             self.get_logger().warning(f"refused: {sentence}")
-        return self._told(names)
+        self._server.publish_parameter_values(self._told(names))
 
     def _serve(self, request: ServiceRequest) -> bytes:
         done, sentence = self._do({"do": request.service_name.rpartition("/")[2]})
@@ -250,14 +273,20 @@ class FoxgloveNode(Node, ServerListener):
     def _do(self, content: dict[str, Any]) -> tuple[bool, str]:
         """Check and carry out, from a thread of the library's."""
         try:
-            command = command_of(json.dumps(content).encode(), self._control)
-        except (SquealRigError, TypeError, ValueError) as error:
+            command = self._command(content)
+        except RefusedError as error:
             return False, str(error)
         asked = asyncio.run_coroutine_threadsafe(self._operator.operate(command), self._gate.loop)
         try:
             return asked.result(_ANSWER_TIMEOUT)
         except FutureTimeoutError:
             return False, f"no answer within {_ANSWER_TIMEOUT:g} s: it may still be carried out"
+
+    def _command(self, content: dict[str, Any]) -> Command:
+        try:
+            return command_of(json.dumps(content).encode(), self._control)
+        except (SquealRigError, TypeError, ValueError) as error:
+            raise RefusedError(str(error)) from None
 
 
 def _definition(text: str) -> bytes:

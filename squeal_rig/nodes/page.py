@@ -25,7 +25,7 @@ from squeal_rig.graph.rig_follower import RigFollower
 from squeal_rig.instruments.channels import FRICTION_WINDOW_NEEDED, block_from_cdr
 from squeal_rig.instruments.description import RigDescription
 from squeal_rig.instruments.driver import Samples
-from squeal_rig.page.access import Access, read_token
+from squeal_rig.page.access import Access, in_url, read_token
 from squeal_rig.page.commands import HIT
 from squeal_rig.page.packing import packed
 from squeal_rig.page.picture import Picture
@@ -82,7 +82,7 @@ class PageNode(Node):
         self.create_timer(_LOOK_EVERY, self._look, clock=STEADY)
         HealthPublisher(self, self._health)
         self._server.start(settings.address, settings.port)
-        shown = f"[{settings.address}]" if ":" in settings.address else settings.address
+        shown = in_url(settings.address)
         self.greeting = f"the page is at http://{shown}:{self._server.port}/" + (
             "" if settings.control else ", read-only but for the emergency stop"
         )

@@ -12,18 +12,27 @@ from urllib.parse import urlsplit
 
 from squeal_rig.errors import ConfigurationError
 
-#: Name of the cookie that a browser shows instead of the token.
-COOKIE = "squeal_rig"
 _LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1")
 _SHORTEST, _LONGEST = 16, 1024
 
 
 def is_loopback(address: str) -> bool:
     """Whether an address to listen on is reached from this machine only."""
-    try:
-        return ipaddress.ip_address(address).is_loopback
-    except ValueError:
-        return address == "localhost"
+    found = _ip_address(address)
+    return address == "localhost" if found is None else found.is_loopback
+
+
+def in_url(address: str) -> str:
+    """An address as a URL has it: one of IPv6 in brackets."""
+    return f"[{address}]" if ":" in address else address
+
+
+def cookie_name(port: int) -> str:
+    """Name of the cookie that a browser shows, instead of the token, to the page that listens on a port.
+
+    Browsers do not tell the ports of a host apart: two pages there would take each other's from them.
+    """
+    return f"squeal_rig_{port}"
 
 
 def read_token(file: str) -> str:
@@ -55,6 +64,9 @@ class Access:
     a browser on this machine shows: one of another origin says so, and one whose name was made to lead here has a host
     that is not ours.
 
+    Where the address stands for all addresses of this machine, every host that is an address is ours: only a name can
+    be made to lead here.
+
     `origins` are those of other pages that may speak to it all the same.
 
     Raises:
@@ -70,6 +82,8 @@ class Access:
             )
         self._token = token.encode()
         self._origins = frozenset(origins)
+        found = _ip_address(address)
+        self._all_addresses = found is not None and found.is_unspecified
         self._hosts = {*_LOOPBACK_NAMES, address.lower(), *(host.lower() for host in hosts)}
 
     @property
@@ -88,7 +102,8 @@ class Access:
 
     def refusal(self, host: str, origin: str | None) -> str:
         """Why a request of that host and origin is refused; empty where it is not."""
-        if _hostname(f"//{host}") not in self._hosts:
+        name = _hostname(f"//{host}")
+        if name not in self._hosts and not (self._all_addresses and _ip_address(name)):
             return f"host {host!r} is not one of this page"
         if origin is not None and origin not in self._origins:
             try:
@@ -106,6 +121,13 @@ class Access:
         if authorization.startswith("Bearer ") and self.is_token(authorization[len("Bearer ") :].strip()):
             return True
         return hmac.compare_digest(cookie.encode(errors="replace"), self.cookie.encode())
+
+
+def _ip_address(text: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
+    try:
+        return ipaddress.ip_address(text)
+    except ValueError:
+        return None
 
 
 def _hostname(url: str) -> str:

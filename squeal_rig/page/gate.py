@@ -14,7 +14,8 @@ from squeal_rig.page.serving import ServerThread
 
 _LONGEST_HEAD = 16 * 1024
 _HEAD_TIMEOUT = 5.0  # a head that takes longer [s] is none
-# Connections that are led on, and those whose head has not been judged: strangers keep nobody out.
+# Connections that are led on, and those whose head has not been judged. Where there are so many of these, the oldest
+# makes room for who comes: strangers keep nobody out.
 _MOST_CONNECTIONS, _MOST_HEADS = 32, 256
 _SEND_TIMEOUT = 30.0  # a client that takes nothing for so long [s] is left
 _PIECE = 64 * 1024
@@ -37,7 +38,8 @@ class Gate(ServerThread):
         self._access, self._behind, self._log = access, behind, log
         super().__init__("the gate")
         self._told = 0.0
-        self.connections = self.refused = self._heads = 0
+        self._unjudged: dict[asyncio.StreamWriter, None] = {}  # the oldest first
+        self.connections = self.refused = 0
 
     async def _serve(self) -> None:
         self._stopping = asyncio.Event()
@@ -57,14 +59,13 @@ class Gate(ServerThread):
 
     async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
-            if self._heads >= _MOST_HEADS:
-                await self._refuse(writer, "503 Service Unavailable", "too many connections")
-                return
-            self._heads += 1
+            if len(self._unjudged) >= _MOST_HEADS:
+                self._close_oldest()
+            self._unjudged[writer] = None
             try:
                 head = await self._judge(reader, writer)
             finally:
-                self._heads -= 1
+                self._unjudged.pop(writer, None)
             if head is None:
                 return
             if self.connections >= _MOST_CONNECTIONS:
@@ -79,6 +80,12 @@ class Gate(ServerThread):
             pass  # one side is gone
         finally:
             writer.close()
+
+    def _close_oldest(self) -> None:
+        oldest = next(iter(self._unjudged))
+        del self._unjudged[oldest]
+        self._count_refusal(oldest, "it sent no head while many others came")
+        oldest.transport.abort()
 
     async def _judge(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> bytes | None:
         """The head that goes to the server behind; None where it was refused."""
@@ -123,12 +130,16 @@ class Gate(ServerThread):
         finally:
             behind_writer.close()
 
-    async def _refuse(self, writer: asyncio.StreamWriter, status: str, reason: str) -> None:
+    def _count_refusal(self, writer: asyncio.StreamWriter, reason: str) -> None:
+        """Count and log it, one line a second at most."""
         self.refused += 1
         if time.monotonic() - self._told > 1.0:
             self._told = time.monotonic()
             peer = writer.get_extra_info("peername")
             self._log(f"refused a connection of {peer[0] if peer else 'somebody'}: {printable(reason)[:200]}")
+
+    async def _refuse(self, writer: asyncio.StreamWriter, status: str, reason: str) -> None:
+        self._count_refusal(writer, reason)
         writer.write(f"HTTP/1.1 {status}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n".encode())
         with contextlib.suppress(OSError, asyncio.TimeoutError):
             await asyncio.wait_for(writer.drain(), 1.0)
@@ -136,7 +147,8 @@ class Gate(ServerThread):
 
 def _shown_token(target: str) -> str:
     try:
-        return next(iter(parse_qs(urlsplit(target).query).get(_TOKEN_KEY, [])), "")
+        query = urlsplit(target).query.replace("+", "%2B")  # a token may have it, and parse_qs makes it a space
+        return next(iter(parse_qs(query).get(_TOKEN_KEY, [])), "")
     except ValueError:
         return ""
 

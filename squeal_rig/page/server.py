@@ -15,7 +15,7 @@ from typing import Any
 from aiohttp import WSCloseCode, WSMsgType, web
 
 from squeal_rig.errors import ParameterError, SquealRigError, printable
-from squeal_rig.page.access import COOKIE, Access
+from squeal_rig.page.access import Access, cookie_name
 from squeal_rig.page.commands import EMERGENCY_STOP, MOST_BYTES, Command, RefusedError, command_of
 from squeal_rig.page.picture import Picture
 from squeal_rig.page.serving import ServerThread
@@ -44,7 +44,7 @@ _STRANGER_TIMEOUT, _MOST_CONNECTIONS, _LOOK_EVERY = 5.0, 256, 0.25
 _MOST_SOUND = 500  # pieces of sound that wait for a client: 5 s
 _SEND_TIMEOUT = 5.0  # a client that takes nothing for so long [s] is dropped
 _STATE_EVERY = 0.5
-_WORDS, _WORDS_PER_SECOND = 20.0, 10.0  # messages a browser may send at once, and in the long run
+_WORDS, _WORDS_PER_SECOND = 20.0, 10.0  # messages, and pings, a browser may send at once, and in the long run
 _WRONG_TOKEN_DELAY = 0.5
 _BODY_TIMEOUT = 5.0  # a command that takes longer to come [s] is none
 
@@ -94,6 +94,20 @@ class Client:
                     await asyncio.wait_for(self.socket.send_bytes(message), _SEND_TIMEOUT)
                 except (asyncio.TimeoutError, ConnectionError, RuntimeError):
                     self.hangs = True
+
+
+class _Allowance:
+    """`_WORDS` at once, and `_WORDS_PER_SECOND` in the long run."""
+
+    def __init__(self) -> None:
+        self._left, self._since = _WORDS, time.monotonic()
+
+    def take(self) -> float:
+        """Take one; returns how long to wait before it is used [s]."""
+        now = time.monotonic()
+        self._left = min(_WORDS, self._left + (now - self._since) * _WORDS_PER_SECOND) - 1.0
+        self._since = now
+        return max(0.0, -self._left / _WORDS_PER_SECOND)
 
 
 class PageServer(ServerThread):
@@ -230,7 +244,8 @@ class PageServer(ServerThread):
             return _plain(403, "refused: the request is not of this page")
         if request.path == "/login" and request.method == "POST":
             return await handler(request)
-        if not self._access.admits(request.headers.get("Authorization", ""), request.cookies.get(COOKIE, "")):
+        shown = request.cookies.get(cookie_name(self.port), "")
+        if not self._access.admits(request.headers.get("Authorization", ""), shown):
             if request.path == "/" and "Authorization" not in request.headers:
                 return web.Response(body=self._login, content_type="text/html", charset="utf-8", status=401)
             if request.path == "/page.css":  # the page that asks for the token has it
@@ -263,7 +278,8 @@ class PageServer(ServerThread):
             wrong = self._login.replace(b"<!-- wrong -->", b'<p role="alert">That is not the token.</p>')
             return web.Response(body=wrong, content_type="text/html", charset="utf-8", status=403)
         answer = web.Response(status=303, headers={"Location": "/"})
-        answer.set_cookie(COOKIE, self._access.cookie, httponly=True, samesite="Strict", path="/")
+        name = cookie_name(self.port)
+        answer.set_cookie(name, self._access.cookie, httponly=True, samesite="Strict", path="/")
         return answer
 
     async def _command(self, request: web.Request) -> web.Response:
@@ -292,7 +308,8 @@ class PageServer(ServerThread):
         if len(self._clients) >= _MOST_CLIENTS:
             self._refuse(request, f"{_MOST_CLIENTS} browsers are connected already")
             return _plain(503, "too many browsers are connected")
-        socket = web.WebSocketResponse(max_msg_size=MOST_BYTES, heartbeat=10.0, compress=False)
+        # Its pings are answered by _listen: aiohttp itself answers any number of them.
+        socket = web.WebSocketResponse(max_msg_size=MOST_BYTES, heartbeat=10.0, compress=False, autoping=False)
         await socket.prepare(request)
         client = Client(socket)
         self._clients.add(client)
@@ -322,14 +339,25 @@ class PageServer(ServerThread):
         return socket
 
     async def _listen(self, client: Client, request: web.Request) -> None:
-        """Take what a browser says. One that says more than it may is read more slowly: its words wait with it."""
-        left, since = _WORDS, time.monotonic()
+        """Take what a browser says. One that says more than it may is read more slowly: its words wait with it.
+
+        Who pings more than that is no browser, which never does, and goes: pings without content that wait cost
+        memory which older versions of aiohttp do not count.
+        """
+        words, pings = _Allowance(), _Allowance()
         async for message in client.socket:
-            now = time.monotonic()
-            left, since = min(_WORDS, left + (now - since) * _WORDS_PER_SECOND), now
-            if left < 1.0:
-                await asyncio.sleep((1.0 - left) / _WORDS_PER_SECOND)
-            left -= 1.0
+            if message.type in (WSMsgType.PING, WSMsgType.PONG):
+                if pings.take() > 0.0:
+                    self._refuse(request, "more pings on the socket than a browser sends")
+                    return
+                if message.type is WSMsgType.PING:
+                    try:
+                        await client.socket.pong(message.data)
+                    except (ConnectionError, RuntimeError):  # it is gone
+                        return
+                continue
+            if (wait := words.take()) > 0.0:
+                await asyncio.sleep(wait)
             if message.type is not WSMsgType.TEXT:
                 self._refuse(request, "a message on the socket that is not text")
                 return

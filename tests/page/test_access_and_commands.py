@@ -8,6 +8,7 @@ import pytest
 from squeal_rig.errors import ConfigurationError
 from squeal_rig.page.access import Access, read_token
 from squeal_rig.page.commands import MOST_BYTES, PLAIN, Command, RefusedError, command_of, settable
+from tests.command_line import in_this_process
 
 TOKEN = "a-token-that-is-long-enough"
 
@@ -43,6 +44,29 @@ def test_loopback_needs_none(address):
 )
 def test_host_and_origin_must_be_the_page_s(host, origin, refused):
     assert bool(Access("127.0.0.1").refusal(host, origin)) == refused
+
+
+@pytest.mark.parametrize("address", ["0.0.0.0", "::"])
+def test_where_every_address_is_listened_on_a_host_that_is_one_is_the_page_s_and_a_foreign_name_is_not(address):
+    access = Access(address, TOKEN, hosts=("rig.example",))
+    for host in ("192.0.2.7:8460", "[2001:db8::7]:8460", "localhost:8460", "rig.example:8460"):
+        assert not access.refusal(host, f"http://{host}")
+    for host in ("evil.example:8460", "192.0.2.7.evil.example:8460", "", "[", "0x7f.1:8460"):
+        assert access.refusal(host, f"http://{host}")
+    assert access.refusal("192.0.2.7:8460", "http://192.0.2.7:9999")
+    assert Access("192.0.2.7", TOKEN).refusal("192.0.2.8:8460", None)  # of one address only that
+
+
+def test_names_given_to_the_command_reach_the_node_as_a_list(monkeypatch):
+    pytest.importorskip("rclpy")
+    pytest.importorskip("aiohttp")
+    from squeal_rig.session import page as session
+
+    given = []
+    monkeypatch.setattr(session, "main", lambda words: given.extend(words) or 0)
+    code, _, errors = in_this_process("page", "--host", "rig.example", "--host", "other.example")
+    assert code == 0, errors
+    assert given[-2:] == ["-p", 'hosts:=["rig.example", "other.example"]']
 
 
 def test_the_token_or_the_cookie_made_of_it_admits_and_nothing_else():

@@ -5,10 +5,12 @@ import json
 import os
 import re
 import shutil
+import signal
 import struct
 import subprocess
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -19,6 +21,8 @@ aiohttp = pytest.importorskip("aiohttp")
 from mcap.records import Schema  # noqa: E402
 from mcap_ros2.decoder import DecoderFactory  # noqa: E402
 
+from squeal_rig.graph.operator import Operator  # noqa: E402
+from squeal_rig.page.commands import Command  # noqa: E402
 from tests.graph import PATIENCE  # noqa: E402
 from tests.graph.processes import parameters  # noqa: E402
 
@@ -29,9 +33,20 @@ _CLIENT = Path(__file__).with_name("foxglove_client.cjs")
 
 
 @pytest.fixture(scope="module")
-def served(compiled, processes, observer):
-    """Address of a server that takes commands, of one that does not, and the rig's node behind both."""
-    processes.node("simulator", *parameters(sample_rate=_RATE, supervisor_required=False))
+def rig(compiled, processes):
+    """The rig's node behind the servers."""
+    return processes.node("simulator", *parameters(sample_rate=_RATE, supervisor_required=False))
+
+
+@pytest.fixture(scope="module")
+def stops(observer):
+    """What comes on the topic of the emergency stop; followed before anybody is there who says it."""
+    return observer.follow("emergency_stop")
+
+
+@pytest.fixture(scope="module")
+def nodes(stops, rig, processes, observer):
+    """A server that takes commands, and one that does not."""
     for name in ("friction_estimator", "stability", "squeal_detector", "view"):
         processes.node(name)
     nodes = [
@@ -42,6 +57,12 @@ def served(compiled, processes, observer):
         observer.wait_for(lambda node=node: "ws://" in node.errors or not node.running, "the address", 300.0)
         assert node.running, node.errors
     observer.wait_for(lambda: observer.state() == "active", "an active rig", 300.0)
+    return nodes
+
+
+@pytest.fixture(scope="module")
+def served(nodes):
+    """Their addresses."""
     return [re.search(r"ws://[\d.:]+", node.errors)[0] for node in nodes]
 
 
@@ -51,6 +72,7 @@ class Spoken:
     def __init__(self, url):
         self.url = url
         self.topics, self.services, self.values, self.answers = {}, {}, {}, []
+        self.times = {}  # those of the messages of each topic [ns]
         self._channels = {}
 
     async def __aenter__(self):
@@ -88,6 +110,7 @@ class Spoken:
             for channel in content["channels"]:
                 self._channels[channel["id"]] = channel, _decoder(channel)
                 self.topics[channel["topic"]] = 0
+                self.times[channel["topic"]] = []
                 await self.send(op="subscribe", subscriptions=[{"id": channel["id"], "channelId": channel["id"]}])
         elif content["op"] == "advertiseServices":
             self.services |= {service["name"]: service["id"] for service in content["services"]}
@@ -102,6 +125,7 @@ class Spoken:
             if decode is not None:
                 decode(data[13:])
             self.topics[channel["topic"]] += 1
+            self.times[channel["topic"]].append(struct.unpack_from("<Q", data, 5)[0])
         elif data[0] == 3:
             (length,) = struct.unpack_from("<I", data, 9)
             self.answers.append(data[13 + length :])
@@ -157,8 +181,9 @@ def test_parameters_and_services_go_through_the_page_s_checks(served, observer):
     assert observer.get(["preload", "driver"]) == {"preload": 61.5, "driver": "virtual"}
 
 
-def test_a_server_without_control_stops_the_rig_and_does_nothing_else(served, observer):
+def test_a_server_without_control_stops_the_rig_and_does_nothing_else(served, observer, stops):
     before = observer.get(["preload"])
+    stops.clear()
 
     async def work():
         async with Spoken(served[1]) as spoken:
@@ -172,8 +197,64 @@ def test_a_server_without_control_stops_the_rig_and_does_nothing_else(served, ob
     services, answers = asyncio.run(work())
     assert list(services) == ["/squeal_rig/emergency_stop"]
     assert b"emergency stop" in answers[0]
+    observer.wait_for(lambda: stops, "the stop on its topic")
+    assert stops[0].data == "asked for by foxglove_read_only"  # who reads of it knows whom to ask
     assert observer.get(["preload"]) == before
     assert observer.trigger("reset")[0]
+
+
+def test_what_is_latched_keeps_its_time_when_another_client_comes(served):
+    topic = "/rig/description"
+
+    async def work():
+        async with Spoken(served[0]) as first:
+            await first.until(lambda: first.topics.get(topic))
+            async with Spoken(served[0]) as second:
+                await second.until(lambda: second.topics.get(topic))
+                await first.until(lambda: first.topics[topic] > 1)
+                return {*first.times[topic], *second.times[topic]}
+
+    assert len(asyncio.run(work())) == 1
+
+
+def test_a_rig_that_does_not_answer_a_set_keeps_no_emergency_stop_waiting(served, nodes, rig, observer):
+    refused = "refused: /rig/set_parameters_atomically did not answer"
+
+    async def work():
+        async with Spoken(served[0]) as spoken:
+            await spoken.until(lambda: "/squeal_rig/emergency_stop" in spoken.services)
+            rig.send(signal.SIGSTOP)
+            try:
+                for number in range(4):
+                    given = [{"name": "/rig.preload", "value": 60.0 + number}]
+                    await spoken.send(op="setParameters", parameters=given, id=str(number))
+                await spoken.call("/squeal_rig/emergency_stop", 1)
+                await spoken.until(lambda: spoken.answers)
+                return spoken.answers[0], refused in nodes[0].errors
+            finally:
+                rig.send(signal.SIGCONT)
+
+    answer, waited = asyncio.run(work())
+    assert b"did not answer" in answer  # not the service: by its topic the rig has the stop as soon as it goes on
+    assert not waited
+    observer.wait_for(lambda: observer.trigger("reset")[0], "a rig that is free again")
+
+
+class Unreasoned(Operator):
+    """An operator on a graph that refuses all and says nothing."""
+
+    def __init__(self):
+        self._under_way, self._stopping, self._set = 0, None, None
+        self._texts, self._triggers = {"springs_fitted": None}, {}
+
+    async def _answer(self, *_asked):
+        refusal = SimpleNamespace(successful=False, reason="")
+        return SimpleNamespace(result=refusal, results=[refusal])
+
+
+@pytest.mark.parametrize("command", [Command("set", {"preload": 60.0}), Command("springs_fitted", text="stiff")])
+def test_a_refusal_without_a_reason_does_not_read_like_success(command):
+    assert asyncio.run(Unreasoned().operate(command)) == (False, "refused, and no reason was given")
 
 
 @pytest.mark.slow

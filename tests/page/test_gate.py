@@ -5,6 +5,7 @@ import asyncio
 import pytest
 
 from squeal_rig.errors import ConfigurationError
+from squeal_rig.page import gate as gate_module
 from squeal_rig.page.access import Access
 from squeal_rig.page.gate import Gate
 
@@ -120,6 +121,49 @@ def test_strangers_that_show_no_head_keep_nobody_out():
         return answer
 
     assert b" 101 " in asyncio.run(work())
+
+
+def test_who_comes_takes_the_place_of_the_oldest_that_shows_no_head(monkeypatch):
+    monkeypatch.setattr(gate_module, "_MOST_HEADS", 5)
+    monkeypatch.setattr(gate_module, "_HEAD_TIMEOUT", 60.0)
+
+    async def work():
+        async def serve(reader, writer):
+            await reader.readuntil(b"\r\n\r\n")
+            writer.write(b"HTTP/1.1 101 Switching Protocols\r\n\r\n")
+            writer.close()
+
+        server = await asyncio.start_server(serve, "127.0.0.1", 0)
+        log = []
+        gate = Gate(Access("127.0.0.1", TOKEN), server.sockets[0].getsockname(), log.append)
+        gate.start("127.0.0.1", 0)
+        try:
+            strangers = [await asyncio.open_connection("127.0.0.1", gate.port) for _ in range(5)]
+            reader, writer = await asyncio.open_connection("127.0.0.1", gate.port)
+            writer.write(head(Authorization=f"Bearer {TOKEN}").encode())
+            answer = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), 20.0)
+            ended, _ = await asyncio.wait(
+                [asyncio.create_task(one.read()) for one, _ in strangers],
+                timeout=20.0,
+                return_when=asyncio.FIRST_COMPLETED,
+            )
+            for _, one in (*strangers, (reader, writer)):
+                one.close()
+        finally:
+            await asyncio.to_thread(gate.close)
+            server.close()
+        return answer, len(ended), gate.refused, log
+
+    answer, ended, refused, log = asyncio.run(work())
+    assert b" 101 " in answer
+    assert (ended, refused, len(log)) == (1, 1, 1)
+
+
+def test_a_token_with_a_plus_is_taken_from_the_address_as_it_is():
+    token = "a+token/that+is+long=="
+    asked = [head(f"/?token={shown}") for shown in (token, token.replace("+", "%2B"))]
+    answers, _, _ = tried(*asked, token=token)
+    assert [answer.split()[1] for answer in answers] == [b"101", b"101"]
 
 
 @pytest.mark.parametrize("address", ["a..b", "192.0.2.1"])

@@ -293,7 +293,7 @@ def test_the_emergency_stop_acts_by_mouse_and_by_keyboard_and_the_page_leads_bac
     # Back to work, in the order that the page tells.
     observer.wait_for(lambda: latches[-1]["latched"] == "emergency stop", "the supervisor's latch")
     shown.until("document.getElementById('supervisor-state').textContent.startsWith('emergency stop')")
-    shown.until("document.getElementById('trips').textContent.includes('asked for on the page')")
+    shown.until("document.getElementById('trips').textContent.includes('asked for by page')")
     assert shown.tab.locator("#way-back").is_visible()
     assert "latch" in shown.press("reset")
     shown.tab.fill("[name=reason]", "<i>a test</i>")

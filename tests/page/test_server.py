@@ -1,9 +1,14 @@
 """The page's server against whoever speaks to it, over real sockets, without ROS."""
 
 import asyncio
+import contextlib
 import json
+import os
+import signal
 import struct
+import threading
 import time
+import types
 
 import numpy as np
 import pytest
@@ -14,15 +19,17 @@ import itertools
 
 import aiohttp
 
-from squeal_rig.errors import ConfigurationError, ParameterError
+from squeal_rig.errors import ConfigurationError, ParameterError, SquealRigError
 from squeal_rig.experiments.engine import RUN_STARTED
 from squeal_rig.instruments.channels import DAQ_RECORD
 from squeal_rig.instruments.description import RigDescription
 from squeal_rig.model.parameters import RigParameters
+from squeal_rig.page import serve_bag as serve_bag_module
 from squeal_rig.page import server as server_module
-from squeal_rig.page.access import Access
+from squeal_rig.page.access import Access, in_url
 from squeal_rig.page.picture import SPECTRUM_HIGH, Picture, SquealTable, column
 from squeal_rig.page.server import PageServer
+from squeal_rig.page.settings import PageSettings
 from squeal_rig.page.sound import Sound
 
 TOKEN = "a-token-that-is-long-enough"
@@ -44,6 +51,16 @@ def unpacked(message):
         offset += -(-arrays[name].nbytes // 4) * 4
     assert offset == len(message)
     return head, arrays
+
+
+class Console:
+    """Takes what is printed."""
+
+    def __init__(self):
+        self.lines = []
+
+    def print(self, line):
+        self.lines.append(line)
 
 
 class Served:
@@ -161,6 +178,20 @@ def test_without_the_token_nothing_is_answered_and_with_it_everything(serve):
     assert not [line for line in served.log if TOKEN in line]
 
 
+def test_two_pages_on_one_host_do_not_take_each_other_s_cookies(serve):
+    pages = serve(token=TOKEN), serve(token=TOKEN + "x")
+
+    async def work(session):
+        jar = aiohttp.CookieJar(unsafe=True)
+        async with aiohttp.ClientSession(cookie_jar=jar) as browser:
+            for page, token in zip(pages, (TOKEN, TOKEN + "x"), strict=True):
+                async with browser.post(f"{page.url}/login", data={"token": token}) as answer:
+                    assert answer.status == 200
+            return [(await browser.get(f"{page.url}/page.js")).status for page in pages]
+
+    assert talk(work) == [200, 200]
+
+
 def test_a_page_that_is_read_only_stops_the_rig_and_does_nothing_else(serve):
     served = serve(control=False)
 
@@ -237,6 +268,44 @@ async def until_closed(socket):
             break
 
 
+def test_pings_are_answered_and_who_sends_more_than_any_browser_goes(serve):
+    served = serve()
+
+    async def work(session):
+        async def pongs(socket, enough):
+            found = []
+            while len(found) < enough and not socket.closed:
+                message = await asyncio.wait_for(socket.receive(), 20.0)
+                if message.type is aiohttp.WSMsgType.PONG:
+                    found.append(bytes(message.data))
+            return found
+
+        async with session.ws_connect(f"{served.url}/ws", autoping=False) as socket:
+            for _ in range(3):
+                await socket.pong()
+            await socket.send_str('{"sound": 48000}')
+            await socket.ping(b"some")
+            few = await pongs(socket, 1)
+            while not served.sound.take_block(block(0), 51200):  # the word counts as ever
+                await asyncio.sleep(0.01)
+            count = served.server.clients
+        async with session.ws_connect(f"{served.url}/ws", autoping=False) as socket:
+            with contextlib.suppress(ConnectionError):
+                for _ in range(500):
+                    await socket.ping()
+            many = await pongs(socket, 500)
+            closed = socket.closed
+        while served.server.clients:
+            await asyncio.sleep(0.01)
+        return few, count, many, closed
+
+    few, count, many, closed = talk(work)
+    assert (few, count) == ([b"some"], 1)
+    assert closed
+    assert len(many) < 100
+    assert any("pings" in line for line in served.log)
+
+
 def test_every_answer_forbids_what_is_not_the_page_s_own(serve):
     served = serve()
 
@@ -305,6 +374,32 @@ def test_a_port_that_is_taken_is_told_in_a_sentence(serve):
     with pytest.raises(ConfigurationError, match="cannot listen"):
         other.start("127.0.0.1", served.server.port)
     other.close()
+
+
+def test_a_bag_s_page_whose_server_has_ended_ends_with_a_sentence(tmp_path, monkeypatch):
+    async def broken(_self):
+        await asyncio.sleep(0.5)
+        raise RuntimeError("a test")
+
+    recorded = types.SimpleNamespace(picture=Picture(False), at=lambda _time: [])
+    monkeypatch.setattr(serve_bag_module, "RecordedPicture", lambda _bag: recorded)
+    monkeypatch.setattr(PageServer, "_show", broken)
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    given_up = threading.Timer(20.0, os.kill, (os.getpid(), signal.SIGTERM))
+    given_up.start()
+    console = Console()
+    try:
+        with pytest.raises(SquealRigError, match="the page has ended"):
+            serve_bag_module.serve_bag(tmp_path, PageSettings(port=0), console)
+    finally:
+        given_up.cancel()
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    assert "http://127.0.0.1:" in console.lines[0]
+
+
+def test_an_address_of_ipv6_stands_in_brackets_in_a_url():
+    assert [in_url(one) for one in ("127.0.0.1", "::1", "rig.example")] == ["127.0.0.1", "[::1]", "rig.example"]
 
 
 def test_squeals_are_rows_with_their_loudest_moment():
