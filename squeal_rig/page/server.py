@@ -212,7 +212,9 @@ class PageServer(ServerThread):
             self._admitted &= present
             since = {one: since.get(one, now) for one in present - self._admitted}
             crowded = len(present) > _MOST_CONNECTIONS
-            unused = [one for one, begin in since.items() if now - begin >= _STRANGER_TIMEOUT or crowded]
+            # Not who has come since the last look: it may be about to ask for a stop.
+            longest = 0.5 * _LOOK_EVERY if crowded else _STRANGER_TIMEOUT
+            unused = [one for one, begin in since.items() if now - begin >= longest]
             if crowded:  # nor does it help to have been admitted once
                 unused += [one for one in present & self._admitted if one not in self._working]
             for one in unused:
