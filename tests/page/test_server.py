@@ -405,10 +405,10 @@ def test_an_address_of_ipv6_stands_in_brackets_in_a_url():
 def test_squeals_are_rows_with_their_loudest_moment():
     table = SquealTable()
     for stamp, detected, level in ((1.0, True, -5.0), (2.0, True, 3.0), (3.0, True, 1.0), (4.0, False, -40.0)):
-        table.take(stamp, detected, level, 2000.0 + level, (50.0, 1.0))
-    table.take(5.0, True, 0.0, 2000.0, (60.0, 1.0))
+        table.take(stamp, 0.5 if detected else 3.5, detected, level, 2000.0 + level, (50.0, 1.0))
+    table.take(5.0, 5.0, True, 0.0, 2000.0, (60.0, 1.0))
     first, second = table.rows
-    assert (first["begin"], first["end"], first["level"], first["frequency"]) == (1.0, 4.0, 3.0, 2003.0)
+    assert (first["begin"], first["end"], first["level"], first["frequency"]) == (0.5, 4.0, 3.0, 2003.0)
     assert second["end"] is None
 
 
