@@ -338,7 +338,6 @@ class PageServer(ServerThread):
             else:
                 with contextlib.suppress(Exception):
                     await asyncio.wait_for(socket.close(), 1.0)
-            await asyncio.wait((sender, listener), timeout=1.0)
         return socket
 
     async def _listen(self, client: Client, request: web.Request) -> None:

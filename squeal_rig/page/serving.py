@@ -59,6 +59,11 @@ class ServerThread:
             self._failure = f"{self._what} has ended: {type(error).__name__}: {printable(str(error))[:200]}"
         finally:
             self._started.set()
+            rest = asyncio.all_tasks(self.loop)
+            for task in rest:
+                task.cancel()
+            if rest:
+                self.loop.run_until_complete(asyncio.wait(rest, timeout=1.0))
             self.loop.close()
 
     def _listens(self, port: int) -> None:
