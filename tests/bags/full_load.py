@@ -1,7 +1,8 @@
 """Publishes everything a full rig does, at its rates, with payloads that can be made again from their numbers.
 
-Run as a script: `full_load.py LOG SECONDS LISTENERS`; the first block comes when so many listen to every topic. Each
-line of LOG is a tick's number and the time [ns] after it.
+Run as a script: `full_load.py LOG SECONDS LISTENERS BLOCKS`; the first block comes when so many listen to every topic,
+the last one after so long or so many, whichever is first. Each line of LOG is a tick's number and the time [ns] after
+it.
 """
 
 import sys
@@ -22,6 +23,7 @@ ROWS = 512
 RATE = 100
 CLOUDS = tuple(_CHANNELS)
 SMALL = {"/pad/state": "sensor_msgs/msg/JointState", "/contact/wrench": "geometry_msgs/msg/WrenchStamped"}
+ENDLESS = 2**31  # blocks
 OTHERS = ("/rosout", "/parameter_events", "/diagnostics")
 
 
@@ -73,9 +75,9 @@ def small_payload(topic, number):
     return head + names + position + velocity + b"\0\0\0\0"
 
 
-def start_load(processes, log, seconds=3600.0, listeners=0):
+def start_load(processes, log, seconds=3600.0, listeners=0, blocks=ENDLESS):
     """Start the full load; its first block comes when so many listen to every topic."""
-    return processes.start([sys.executable, Path(__file__), log, seconds, listeners])
+    return processes.start([sys.executable, Path(__file__), log, seconds, listeners, blocks])
 
 
 def published(log):
@@ -85,8 +87,8 @@ def published(log):
     return (int(whole[-1].split()[0]) + 1, int(whole[-1].split()[1])) if whole else (0, 0)
 
 
-def main(log, seconds, listeners):
-    """Publish until the time is over or a signal comes."""
+def main(log, seconds, listeners, blocks):
+    """Publish until the time is over, all blocks are out or a signal comes."""
     import rclpy
     from geometry_msgs.msg import WrenchStamped
     from rclpy.node import Node
@@ -112,7 +114,7 @@ def main(log, seconds, listeners):
         rclpy.spin_once(node, timeout_sec=0.1)
     stream = open(log, "w", buffering=1)
     start, number = time.monotonic(), 0
-    while time.monotonic() - start < seconds:
+    while time.monotonic() - start < seconds and number < blocks:
         for topic, publisher in clouds.items():
             publisher.publish(payload(topic, number))
         for topic, publisher in small.items():
@@ -130,4 +132,4 @@ def main(log, seconds, listeners):
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], float(sys.argv[2]), int(sys.argv[3]))
+    main(sys.argv[1], float(sys.argv[2]), *map(int, sys.argv[3:5]))

@@ -34,7 +34,7 @@ def beside(woken):
     made.close()
 
 
-def answer(beside, woken, patience=20.0):
+def answer(beside, woken, patience=60.0):
     """The next answer, looked for as a node does: when woken and now and then."""
     deadline = time.monotonic() + patience
     while (found := beside.look()) is None:
@@ -88,7 +88,7 @@ def test_one_that_never_ends_is_given_up(beside, woken):
 
 
 def test_a_process_that_starts_slowly_is_waited_for(woken):
-    slow = Beside([sys.executable, "-c", "import time\ntime.sleep(3.0)\n" + SCRIPT], woken.set, patience=2.0, limit=2.0)
+    slow = Beside([sys.executable, "-c", "import time\ntime.sleep(9.0)\n" + SCRIPT], woken.set, patience=6.0, limit=6.0)
     try:
         slow.ask({"number": 1})
         slow.ask({"number": 2})

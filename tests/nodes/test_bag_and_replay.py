@@ -10,8 +10,8 @@ from rosbags.rosbag2 import Reader
 
 from squeal_rig.recording import Bag, BagWriter, samples_from_cdr
 from squeal_rig.session.replay_check import compared, lost_spans, recorded_windows
-from tests.graph.processes import parameters
-from tests.graph.statuses import health_of, status_of
+from tests.graph.processes import PATIENT_RATE, parameters
+from tests.graph.statuses import health_of
 
 pytest.importorskip("rclpy")
 
@@ -26,7 +26,9 @@ def live(compiled, processes, observer, config_file, tmp_path_factory):
     files = ["--params-file", str(config_file)]
     estimator = processes.node("friction_estimator", *files)
     recorder = processes.node("recorder", *files, *parameters(directory=bag))
-    simulator = processes.node("simulator", *files, *parameters(autostart="false", preload=300.0))
+    simulator = processes.node(
+        "simulator", *files, *parameters(autostart="false", preload=300.0, sample_rate=PATIENT_RATE)
+    )
     health = observer.follow("/diagnostics")
     assert observer.transition("configure")
     for topic in ("daq/samples", "truth/samples"):
@@ -42,23 +44,34 @@ def live(compiled, processes, observer, config_file, tmp_path_factory):
 
     observer.wait_for(enough, "ten windows")
     assert observer.pause(True)[0]
-    _drained(observer, health)
+
+    def published():
+        state = health_of(health, "rig")
+        if state is None or state[2]["state"] != "paused":  # what it told before, more has followed
+            return None
+        return {topic: int(state[2][f"last published of {topic[1:]}"]) for topic in _SAMPLES}
+
+    _drained(observer, health, observer.wait_for(published, "the health of the paused rig"))
     for node in (simulator, estimator, recorder):
         code, _ = node.end()
         assert code == 0, node.errors
     return bag
 
 
-def _drained(observer, health):
-    """Wait until the recorder has taken what was sent: in a second it gets little more than the health of the nodes."""
-    health.clear()
+def _drained(observer, health, published):
+    """Wait until estimator and recorder have taken what was published, by their own counts, topic by topic."""
 
     def drained():
-        states = [status_of(message, "recorder") for message in health]
-        counts = [int(state[2]["messages"]) for state in states if state]
-        return len(counts) > 1 and counts[-1] - counts[-2] < 50
+        estimator, recorder = health_of(health, "friction_estimator"), health_of(health, "recorder")
+        if estimator is None or recorder is None:
+            return False
+        # The estimator gives a block for a block.
+        blocks, windows = int(estimator[2]["blocks"]), int(estimator[2]["windows"])
+        wanted = {**published, "/friction/samples": blocks, "/friction/windows": windows}
+        taken = {topic: int(recorder[2].get(f"last taken of {topic}", 0)) for topic in wanted}
+        return blocks == published["/daq/samples"] and taken == wanted
 
-    observer.wait_for(drained, "a recorder that has taken all")
+    observer.wait_for(drained, "an estimator and a recorder that have taken all")
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +92,7 @@ def replayed(live, processes, observer, config_file, tmp_path_factory):
     observer.wait_for(heard, "estimator and recorder listening to every topic")
     assert observer.trigger("resume", "player")[0]
     assert observer.wait_for_end(player) == 0
-    _drained(observer, health)
+    _drained(observer, health, {topic: Bag(live).topics[topic].message_count for topic in _SAMPLES})
     for node in (estimator, recorder):
         code, _ = node.end()
         assert code == 0, node.errors
@@ -104,7 +117,7 @@ def _samples(bag, topic):
 def test_the_samples_of_a_bag_are_numbered_from_zero_without_a_gap(live, topic):
     seq = _samples(live, topic)["seq"]
     np.testing.assert_array_equal(seq, np.arange(len(seq)))
-    assert len(seq) >= 2 * 51200
+    assert len(seq) >= 2 * PATIENT_RATE
 
 
 def test_rosbags_reads_the_bag_and_every_message_in_it(live):

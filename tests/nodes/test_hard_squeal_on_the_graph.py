@@ -33,6 +33,15 @@ def _child_of(pid):
     return [int(child) for child in children if b"hard_squeal" in Path(f"/proc/{child}/cmdline").read_bytes()]
 
 
+def _ended(pid):
+    """Whether a process has ended; one that nobody has waited for yet has, too."""
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0]
+    except OSError:
+        return True
+    return state == "Z"
+
+
 def test_it_follows_an_update_and_equals_what_is_computed_offline(bench):
     for preload in (54.0, 300.0):
         assert bench.observer.set({"preload": preload}) == [(True, "")]
@@ -79,8 +88,8 @@ def test_the_process_beside_is_started_again_and_ends_with_its_node(compiled, pr
     observer.wait_for(lambda: _of_preload(summaries, 52.0), "that of another set point", PATIENCE)
     (beside,) = _child_of(stability.process.pid)
     stability.send(signal.SIGKILL)
-    deadline = time.monotonic() + 10.0
-    while Path(f"/proc/{beside}").exists():
+    deadline = time.monotonic() + 30.0  # it is niced: a busy machine has little time for it
+    while not _ended(beside):
         assert time.monotonic() < deadline, "the process beside outlived its node"
         time.sleep(0.05)
     assert rig.end()[0] == 0

@@ -10,7 +10,7 @@ from squeal_rig.drivers.modbus import Line
 from squeal_rig.recording import Bag, samples_from_cdr
 from squeal_rig.samples.blocks import text_reader
 from tests.drivers.conftest import needs_extra, serve_twin
-from tests.graph.processes import PATIENT, parameters
+from tests.graph.processes import PATIENT, PATIENT_RIG, parameters
 from tests.graph.statuses import health_of, status_of
 
 pytest.importorskip("rclpy")
@@ -161,7 +161,7 @@ def test_a_pulled_cable_trips_the_supervisor_and_is_mended_by_the_documented_pro
     rig = processes.node(
         "rig",
         *("--params-file", str(config_file)),
-        *parameters(driver="opendaq", driver_config=twin.config, supervisor_required=True, watchdog_timeout=20.0),
+        *parameters(driver="opendaq", driver_config=twin.config, supervisor_required=True, **PATIENT_RIG),
     )
     blocks, states, safe = (
         observer.follow_samples("daq/samples"),

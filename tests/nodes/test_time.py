@@ -125,11 +125,12 @@ def test_after_an_overrun_no_reset_turns_the_time_back(compiled, processes, obse
         rig.send(signal.SIGSTOP)
         time.sleep(0.6)
         rig.send(signal.SIGCONT)
-        seen = len(blocks)
-        observer.wait_for(lambda seen=seen: len(blocks) > seen + 5, "samples after the overrun")
+        # By their stamps: what was on its way before may come only now.
+        now = time.time_ns()
+        observer.wait_for(lambda now=now: blocks[-1].stamp_ns > now + 5 * _BLOCK_NS, "samples after the overrun")
         assert observer.trigger("reset")[0], number
-        seen = len(blocks)
-        observer.wait_for(lambda seen=seen: len(blocks) > seen + 5, "samples after the reset")
+        now = time.time_ns()
+        observer.wait_for(lambda now=now: blocks[-1].stamp_ns > now + 5 * _BLOCK_NS, "samples after the reset")
     observer.wait_for(lambda: int(health_of(health, "rig")[2]["overruns"]) >= 3, "three overruns")
     assert rig.end()[0] == 0
     stamps = np.array([block.stamp_ns for block in blocks])

@@ -16,7 +16,7 @@ _WATCHED = """
 import os, sys, time
 from squeal_rig.safety.outside import Outside
 
-beside = Outside([sys.executable, sys.argv[1], "watchdog"], "", {}, 1.5)
+beside = Outside([sys.executable, sys.argv[1], "watchdog"], "", {}, 4.5)
 beside.arm(sys.argv[2] != "inactive")
 for _ in range(40):
     beside.beat()
@@ -35,7 +35,7 @@ elif sys.argv[2] == "loses it":
     assert beside.running and beside.restarts == 1
     time.sleep(60.0)
 elif sys.argv[2] == "inactive":
-    time.sleep(2.0)
+    time.sleep(6.0)
     beside.close()
 else:
     time.sleep(60.0)
@@ -61,7 +61,7 @@ def test_who_is_silent_or_dies_while_it_drives_a_rig_is_stopped_from_outside(tmp
         output, _ = watched.communicate(timeout=300.0)  # the process beside has no end of it
     assert output == "beaten\n"
     assert watched.returncode == code, errors.read_text()
-    for _ in range(200):
+    for _ in range(600):
         if said in errors.read_text():
             break
         subprocess.run(["sleep", "0.05"], check=True)

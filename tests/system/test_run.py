@@ -1,6 +1,7 @@
 """`squeal-rig run`: nodes, live state, recording, plans, and a clean end however it comes."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -52,6 +53,14 @@ def _read(bag):
     return samples
 
 
+def _complaints(child):
+    """What a run has printed to stderr, but for rclpy's warning that one who asked has gone: a busy machine has that.
+
+    Python shows the line of source that warns below it.
+    """
+    return re.sub(r".*RuntimeWarning: failed to send response \(timeout\): .*\n(  .*\n)?", "", child.errors)
+
+
 def _wait_for_word(child, word):
     deadline = time.monotonic() + _PATIENCE
     while word not in child.output:
@@ -76,7 +85,7 @@ def planned(processes, tmp_path_factory):
 
 def test_a_plan_runs_to_its_end_and_leaves_a_whole_bag(planned):
     child, bag = planned
-    assert child.errors == ""
+    assert _complaints(child) == ""
     daq = _read(bag)["/daq/samples"]
     assert len(daq) >= 2.4 * PATIENT_RATE
     assert daq["preload"][0] == 50.0
@@ -150,7 +159,7 @@ def test_ctrl_c_ends_a_run_cleanly_with_a_valid_bag(processes, tmp_path, signals
     _wait_for_word(child, "F = 50 N")
     code, seconds = child.end(*signals)
     assert code == 0, child.errors
-    assert child.errors == ""
+    assert _complaints(child) == ""
     measured(f"Ctrl-C to the end of a run: {seconds:.1f} s")
     assert len(_read(tmp_path / "bag")["/daq/samples"]) > 0
     assert [(what, facts["outcome"]) for _, what, facts in _events(tmp_path / "bag")[-1:]] == [
@@ -181,10 +190,12 @@ def test_a_recorder_that_stands_still_as_a_run_is_ended_gets_the_last_samples(pr
 
 @pytest.mark.slow
 def test_a_run_of_one_second_without_recording_ends_by_itself_and_leaves_nothing(processes, tmp_path):
-    child = processes.command("run", "--duration", "1", "--no-record", cwd=tmp_path)
+    config, empty = patient_config(tmp_path), tmp_path / "empty"
+    empty.mkdir()
+    child = processes.command("run", "--config", config, "--duration", "1", "--no-record", cwd=empty)
     assert child.wait(_PATIENCE) == 0, child.errors
-    assert child.errors == ""
-    assert list(tmp_path.iterdir()) == []
+    assert _complaints(child) == ""
+    assert list(empty.iterdir()) == []
 
 
 def test_a_run_that_cannot_be_is_refused_in_a_sentence_before_anything_starts(in_process, monkeypatch, tmp_path):

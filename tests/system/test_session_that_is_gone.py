@@ -9,6 +9,7 @@ import pytest
 
 from squeal_rig.recording import Bag
 from tests.graph import PATIENCE
+from tests.graph.processes import patient_config
 
 pytest.importorskip("rclpy")
 
@@ -50,7 +51,7 @@ def _ended(pid):
 def session(processes, tmp_path):
     """(child, nodes, bag) of a session that samples and records."""
     signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup children would ignore it
-    child = processes.command("run", "--bag", tmp_path / "bag", cwd=tmp_path)
+    child = processes.command("run", "--config", patient_config(tmp_path), "--bag", tmp_path / "bag", cwd=tmp_path)
     _wait(lambda: "F = 50 N" in child.output or not child.running, "a running session")
     assert child.running, child.errors
     nodes = _children(child.process.pid)
