@@ -203,6 +203,8 @@ def _run(factory: Callable[[Lifetime], Node], args: Sequence[str] | None) -> int
                 close()
         except Exception as error:
             lifetime.exit_code = _refused(f"the node did not end well: {described(error)}", 1)
+        # Before its context: what it holds of that cannot be given back afterwards.
+        executor.shutdown()
         node.destroy_node()
         rclpy.try_shutdown()
     return lifetime.exit_code

@@ -119,8 +119,8 @@ class PageNode(Node):
         if points == _COARSE and answer is not None and "rows" in answer:
             self._beside.ask([machine, _FINE])
 
-    def _on_block(self, _stamp: int, daq: Samples) -> None:
-        self._picture.take_block(daq)
+    def _on_block(self, stamp: int, daq: Samples) -> None:
+        self._picture.take_block(daq, 1e-9 * stamp)
         if self._rig.description is not None:
             for rate, message in self._sound.take_block(daq, self._rig.description.sample_rate):
                 self._server.hear(rate, message)

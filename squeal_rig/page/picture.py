@@ -42,6 +42,22 @@ _OURS = ("rig", "supervisor", "recorder", "squeal_detector", "friction_estimator
 _LIMITED, _LEVELS = (*LIMITED, "squeal", "stale"), ("warn", "ramp_down", "stop")
 
 
+class Arrival:
+    """When something last came that is told again and again, and whether it has stopped."""
+
+    def __init__(self) -> None:
+        self.last, self._every = -math.inf, 0.0
+
+    def now(self, time: float) -> None:
+        """It comes [s]."""
+        self._every = time - self.last if math.isfinite(self.last) else 0.0
+        self.last = time
+
+    def is_old(self, time: float) -> bool:
+        """Whether it should have come again by a time [s]; windows may be longer than `_OLD`."""
+        return time - self.last > max(_OLD, 1.5 * self._every)
+
+
 class SquealTable:
     """Squeals as rows: begin and end [s since the epoch], frequency [Hz], level [dB re 1 um], F [N], V [m/s].
 
@@ -102,8 +118,8 @@ class Picture:
         self._told: dict[str, Any] = {}
         self._progress, self._run_is_heard = Progress(), True
         self._limits: dict[str, Any] = {}
-        self._came = clock()
-        self._squeal_came = self._window_came = -math.inf
+        self._came, self._stamp = clock(), math.nan
+        self._squeal_came, self._window_came = Arrival(), Arrival()
         self._trips: deque[dict[str, Any]] = deque(maxlen=20)
         self._blocks = 0
         self._shown = {"time": 0.0, "trouble": ""}
@@ -117,13 +133,14 @@ class Picture:
                 self._window = LastSamples(max(2, round(_SPECTRUM_WINDOW * rig.sample_rate)))
             self._description = rig
 
-    def take_block(self, daq: Samples) -> None:
-        """Take a block of `daq/samples`."""
+    def take_block(self, daq: Samples, stamp: float = math.nan) -> None:
+        """Take a block of `daq/samples`, sampled from a time on [s since the epoch]."""
         with self._lock:
             self._daq = daq
             self._blocks += 1
-            self._columns.extend(self._dark_columns())
-            self._came = self._clock()
+            # By stamps: what was only held up on its way is no pause.
+            self._columns.extend(_dark_columns(stamp - self._stamp))
+            self._stamp, self._came = stamp, self._clock()
             if self._window is None or self._description is None:
                 return
             self._window.add(int(daq["seq"][0]), daq["x"])
@@ -142,7 +159,7 @@ class Picture:
     def take_window(self, t: float, mu: float, ratio_of_means: float, true: float) -> None:
         """Take friction of a window that ended at t [s]."""
         with self._lock:
-            self._window_came = self._clock()
+            self._window_came.now(self._clock())
             self._mu.append((t, mu, ratio_of_means, true))
 
     def take_stability(self, statuses: Mapping[str, Status]) -> None:
@@ -175,14 +192,14 @@ class Picture:
         detected = status[2].get("detected") == "true"
         since = number(status, "since [s]")
         with self._lock:
-            self._squeal_came = self._clock()
+            self._squeal_came.now(self._clock())
             self._level.append((stamp, max(level, -200.0) if math.isfinite(level) else math.nan))
             self._numbers |= {"squealing": detected, "level": level, "frequency": frequency}
             self._numbers |= {
                 "tones": status[2].get("tones [Hz]", "")[:100],
                 "events": number(status, "events"),
             }
-            begin = since if math.isfinite(since) else stamp
+            begin = since if 0.0 <= since <= stamp else stamp
             self._squeals.take(stamp, begin, detected, level, frequency, self._point())
 
     def take_health(self, name: str, status: Status) -> None:
@@ -231,7 +248,8 @@ class Picture:
             self._level.clear()
             self._squeals.rows.clear()
             self._numbers.clear()
-            self._squeal_came = self._window_came = -math.inf
+            self._squeal_came, self._window_came = Arrival(), Arrival()
+            self._daq = None
             self._progress = Progress()
 
     @property
@@ -325,10 +343,11 @@ class Picture:
                 if rig is None
                 else {name: getattr(rig.parameters, name) for name in settable() if hasattr(rig.parameters, name)}
             )
-            mu = _aged(np.array(self._mu, float).reshape(-1, 4), now - self._window_came)
-            level = _aged(np.array(self._level, float).reshape(-1, 2), now - self._squeal_came)
-            old = _AGAIN if now - self._squeal_came > _OLD else ()
-            columns = (*self._columns, *self._dark_columns())[-(self._columns.maxlen or 0) :]
+            mu = _aged(np.array(self._mu, float).reshape(-1, 4), now - self._window_came.last)
+            level = _aged(np.array(self._level, float).reshape(-1, 2), now - self._squeal_came.last)
+            old = _AGAIN if self._squeal_came.is_old(now) else ()
+            silent = 0.0 if self._bag or not self._blocks else now - self._came
+            columns = (*self._columns, *_dark_columns(silent))[-(self._columns.maxlen or 0) :]
             values = {
                 "numbers": {name: value for name, value in self._numbers.items() if name not in old},
                 "nodes": [] if self._bag else nodes,
@@ -346,7 +365,7 @@ class Picture:
             }
         arrays: dict[str, NDArray[Any]] = {"spectrogram": np.concatenate(columns) if columns else np.zeros(0, np.uint8)}
         arrays |= {"mu_t": mu[:, 0], "mu": mu[:, 1], "mu_means": mu[:, 2], "mu_true": mu[:, 3]}
-        if len(mu) and mu[-1, 0] > -_OLD:
+        if len(mu) and not self._window_came.is_old(now):
             values["mu"] = dict(zip(("windows", "means", "true"), map(float, mu[-1, 1:]), strict=True))
         arrays |= {"level_t": level[:, 0], "level": level[:, 1]}
         return packed("state", values, arrays)
@@ -367,12 +386,6 @@ class Picture:
                 rows.append({"what": quantity.replace("_", " "), "unit": unit, **found})
         return rows
 
-    def _dark_columns(self) -> list[NDArray[np.uint8]]:
-        """Columns for the time since the last block, where that is long: what came before is not shown as of now."""
-        silent = 0.0 if self._bag or not self._blocks else self._clock() - self._came
-        count = round(min(silent, TREND) * COLUMNS_PER_SECOND) if silent > 1.0 else 0
-        return [np.zeros(COLUMN_LINES, np.uint8)] * count
-
     def _point(self) -> tuple[float, float]:
         if self._daq is not None:
             return float(self._daq["preload"][-1]), float(self._daq["belt_speed"][-1])
@@ -390,6 +403,12 @@ def column(samples: NDArray[np.float64], sample_rate: float) -> NDArray[np.uint8
     np.maximum.at(levels, place, lines.levels)
     scaled = np.clip((levels - DARK_DB) / (BRIGHT_DB - DARK_DB), 0.0, 1.0)
     return np.round(255.0 * scaled).astype(np.uint8)
+
+
+def _dark_columns(silent: float) -> list[NDArray[np.uint8]]:
+    """Columns for a time without samples [s], where it is long: what came before is not shown as of now."""
+    count = round(min(silent, TREND) * COLUMNS_PER_SECOND) if silent > 1.0 else 0
+    return [np.zeros(COLUMN_LINES, np.uint8)] * count
 
 
 def _aged(rows: NDArray[np.float64], age: float) -> NDArray[np.float64]:

@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from squeal_rig.errors import RecordingError
+from squeal_rig.errors import RecordingError, SquealRigError
 from squeal_rig.instruments.channels import DAQ_CHANNELS, FRICTION_WINDOW_NEEDED, block_from_cdr
 from squeal_rig.instruments.description import RigDescription
 from squeal_rig.page.packing import packed
 from squeal_rig.page.picture import COLUMN_LINES, COLUMNS_PER_SECOND, TREND, Picture, column
 from squeal_rig.recording import Bag, RawMessage, decoder_of
 from squeal_rig.recording.messages import statuses
-from squeal_rig.recording.replay import last_before
 from squeal_rig.samples.blocks import DAQ, DESCRIPTION, rig_topic, text_reader
 
 _WINDOW = 0.25  # a time shows the samples of so long before it [s]
@@ -49,6 +48,7 @@ class RecordedPicture:
         self._decoders = {
             what: decoder_of(self.bag.topics[topic].schema) for what, topic in self._others.items() if what != "windows"
         }
+        self._analysed: RawMessage | None = None  # the last analysis that was looked for
         self._time = 0.0  # of what is being taken, and then of what is shown [s since the epoch]
         self.picture = Picture(False, path.name, self.bag.duration, clock=lambda: self._time)
         self._columns: dict[int, NDArray[np.uint8]] = {}
@@ -64,8 +64,11 @@ class RecordedPicture:
         self.picture.forget()
         try:
             frame, trouble = self._read(now), ""
-        except RecordingError as error:
+        except SquealRigError as error:
             frame, trouble = None, str(error)
+        except (TypeError, ValueError) as error:  # a message that is not what its topic is for
+            frame, trouble = None, f"what was recorded here cannot be shown: {error}"
+        if trouble:
             self.picture.forget()
         self.picture.take_shown(time, trouble)
         self._time = now * 1e-9
@@ -108,8 +111,13 @@ class RecordedPicture:
 
     def _take_analysed(self, last: RawMessage | None, begin: int) -> None:
         """Take the last analysis, which may be older than what is shown: it is told on changes, and with friction."""
-        if last is None and "stability" in self._others:
-            last = next(iter(last_before(self.bag, [self._others["stability"]], begin)), None)
+        topic = self._others.get("stability")
+        if last is None and topic:
+            # Not from the beginning of the bag at each time that is asked for.
+            known = self._analysed if self._analysed and self._analysed.log_time < begin else None
+            for message in self.bag.messages([topic], known and known.log_time, begin):
+                known = message
+            last = self._analysed = known
         if last is not None:
             self.picture.take_stability(dict(statuses(self._decoders["stability"](last.data))))
 

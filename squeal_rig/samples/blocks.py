@@ -103,7 +103,8 @@ class BlockJoiner:
             if self._last_block is not None and samples_ahead(seq, self._last_block) <= 0:
                 # Another run: the truths of the one before tell nothing of its blocks, whatever their numbers.
                 self._last_truth = None
-                self._truths = {number: truth for number, truth in self._truths.items() if truth[0] >= stamp}
+                oldest = self._waiting[0][0] if self._waiting else stamp
+                self._truths = {n: truth for n, truth in self._truths.items() if truth[0] >= min(oldest, stamp)}
             self._last_block = seq
             self._waiting.append((stamp, samples, message.log_time, self.rig))
         while self._waiting and self.rig is not None and not self._truth_may_come():

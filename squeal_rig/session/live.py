@@ -132,6 +132,7 @@ class LiveGraph:
 
     def close(self) -> None:
         """Leave the graph."""
+        self._executor.shutdown()
         self._node.destroy_node()
         rclpy.try_shutdown()
 

@@ -85,7 +85,8 @@ def run_class(kind, seed, seconds, batches, corpus, findings):
             limits = {"deadline": None, "database": None, "suppress_health_check": list(HealthCheck)}
             seeded(f"{seed}/{batch}")(settings(max_examples=_BATCH, phases=[Phase.generate], **limits)(run))()
             batch += 1
-            if made:  # between the others: some take their time
+            # Between the others, since some take their time; all of them where batches are counted.
+            for _ in range(math.ceil(len(made) / (batches - batch + 1)) if batches < math.inf else min(1, len(made))):
                 case = made.pop()
                 examine(case() if callable(case) else case)
     finally:

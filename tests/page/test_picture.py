@@ -112,7 +112,7 @@ def test_what_came_before_a_pause_is_shown_as_old_as_it_is():
         for place in range(first, first + rate, 128):
             daq = np.zeros(128, DAQ_RECORD)
             daq["seq"], daq["x"] = place + np.arange(128), x[place : place + 128]
-            picture.take_block(daq)
+            picture.take_block(daq, clock.now)
             clock.now += 0.01
 
     def lit():

@@ -76,7 +76,9 @@ const page = (() => {
     if (hello && hello.live) {  // nothing of what was said last is known to be so still
       for (const id of ["rig-state", "squeal-state"]) { $(id).textContent = `${id.split("-")[0]}: not known`; $(id).className = "chip big error"; }
       for (const id of ["supervisor-state", "recorder-state", "run-state"]) { $(id).textContent = "not known: no connection"; $(id).className = "error-text"; }
-      $("node-list").replaceChildren();
+      for (const id of ["node-list", "findings", "run-last"]) $(id).replaceChildren();
+      for (const id of ["way-back", "run-progress", "springs-fitted"]) $(id).hidden = true;
+      for (const cell of document.querySelectorAll("#squeal-rows td")) if (cell.textContent === "goes on") cell.textContent = "not known";
     }
     heard = performance.now();
     setTimeout(connect, wait);
@@ -201,7 +203,7 @@ const page = (() => {
     const kind = gone || stopped || rig.level >= 2 ? "error" : rig.level === 1 ? "warn" : "ok";
     $("rig-state").textContent = !live ? `rig: ${state.rig.driver || "-"}`
       : !known ? "no rig is heard" : gone ? "rig: GONE" : stopped ? `STOPPED: ${told.safe.values.reason || "emergency stop"}`
-      : rig.level === 0 ? `rig: ${rig.message}` : `rig: ${["", "warning", "error"][rig.level]}`;
+      : rig.level === 0 ? `rig: ${rig.message}` : `rig: ${["", "warning", "error"][rig.level] || "error"}`;
     $("rig-state").className = "chip big " + (live ? kind : "ok");
     const judged = n.squealing !== undefined && (!live || (!silent && heardOf("squeal_detector")));
     $("squeal-state").textContent = !judged ? "squeal: not known"
@@ -209,7 +211,8 @@ const page = (() => {
     $("squeal-state").className = "chip big " + (judged ? n.squealing ? "warn" : "ok" : "");
     const toldBy = (name) => !live || heardOf(name);
     const mu = toldBy("friction_estimator") ? state.counts.mu || {} : {};
-    const seen = toldBy("stability") ? n : {};
+    // Nor what it said of a point that it has no samples of any more.
+    const seen = !live || state.nodes.some((node) => own("stability")(node) && !node.gone && node.level < 3) ? n : {};
     const rows = [
       ...(live ? [["the rig says", stopped ? told.safe.message : rig ? rig.message : "nothing"]] : []),
       ["zone", seen.zone || "-"],
@@ -264,7 +267,7 @@ const page = (() => {
     showRun(state.run, live);
     if (!live) {
       $("time-shown").textContent = `${state.time.toFixed(2)} s of ${hello.duration.toFixed(2)} s`;
-      if (state.trouble) say(false, state.trouble);
+      say(!state.trouble, state.trouble);
     }
     table("squeal-rows", [...state.squeals].reverse().map((one) => [
       clock(one.begin), one.end !== null ? clock(one.end) : judged ? "goes on" : "not known", shown(one.frequency, 5), shown(one.level, 3),
@@ -287,7 +290,7 @@ const page = (() => {
 
   function showRun(run, live) {
     $("run-progress").hidden = !(run && run.of && !run.ended);
-    $("springs-fitted").hidden = !live || !run || run.kind === "run" || run.gone || Boolean(run.ended);
+    $("springs-fitted").hidden = !live || !run || (run.kind === "run" && !run.of) || run.gone || Boolean(run.ended);
     $("run-state").className = "";
     $("run-last").textContent = run && run.last ? `last: ${run.last}` : "";
     if (!run) { $("run-state").textContent = "none runs"; return; }
@@ -337,7 +340,7 @@ const page = (() => {
       pen.font = "12px system-ui, 'DejaVu Sans', sans-serif";
     }
     const f = frame ? frame.preload : NaN, v = frame ? frame.belt_speed : NaN;
-    const inside = f >= x.low && f <= x.high && v >= y.low && v <= y.high;
+    const inside = Number.isFinite(f) && Number.isFinite(v) && f >= x.low && f <= x.high && v >= y.low && v <= y.high;
     if (inside) {
       pen.save();
       pen.beginPath(); pen.rect(box.left, box.top, box.right - box.left, box.bottom - box.top); pen.clip();
