@@ -64,7 +64,7 @@ else
 endif
 
 test-slow: .venv/.ready
-	$(PY) -m pytest -m slow $(ARGS)
+	$(PY) -m pytest $(TWO) -m slow $(ARGS)
 
 test-long: .venv/.ready
 	$(PY) -m pytest -m long tests $(ARGS)
