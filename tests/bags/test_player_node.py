@@ -37,6 +37,7 @@ def messages(bag):
     return found
 
 
+@pytest.mark.slow
 def test_record_replay_record_gives_the_same_again(
     processes, observer, health, tmp_path, recorded, record_property, measured
 ):
@@ -62,6 +63,7 @@ def test_record_replay_record_gives_the_same_again(
     assert after[-1] - after[0] > 0.5 * (before[-1] - before[0])
 
 
+@pytest.mark.slow
 def test_services_and_parameters_control_the_replay(processes, observer, health, recorded):
     from rosgraph_msgs.msg import Clock
 

@@ -91,6 +91,7 @@ def load(processes, tmp_path):
     return log
 
 
+@pytest.mark.slow
 def test_a_killed_recorder_loses_less_than_the_last_second(
     processes, observer, health, tmp_path, load, record_property
 ):

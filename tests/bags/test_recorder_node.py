@@ -80,6 +80,7 @@ def test_late_topics_of_any_type_and_publishers_that_offer_less_are_recorded(pro
     assert late.qos[0].reliability == "reliable"
 
 
+@pytest.mark.slow
 def test_who_listens_for_another_type_keeps_no_topic_from_the_bag(processes, observer, health, tmp_path):
     from geometry_msgs.msg import Twist
     from std_msgs.msg import String
@@ -232,6 +233,7 @@ def test_a_full_disk_ends_the_recording_and_nothing_else(observer, health, load,
     assert recorder.end()[0] == 0
 
 
+@pytest.mark.slow
 def test_a_stop_during_a_stall_of_the_disk_loses_nothing(processes, observer, tmp_path, load):
     mark = tmp_path / "stalled"
     recorder = stalled(processes, mark, 3.0, directory=tmp_path / "run")
@@ -254,6 +256,7 @@ def test_a_stop_during_a_stall_of_the_disk_loses_nothing(processes, observer, tm
     assert verify(bag.path).sound == (int(bag.custom_data["lost_messages"]) == 0)
 
 
+@pytest.mark.slow
 def test_one_odd_stamp_and_an_early_snapshot_end_no_recording(processes, observer, health, tmp_path):
     """The squeal comes before anything else: there is nothing to write yet."""
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue

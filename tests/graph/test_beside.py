@@ -87,6 +87,7 @@ def test_one_that_never_ends_is_given_up(beside, woken):
     assert answer(beside, woken)[1] == 12
 
 
+@pytest.mark.slow
 def test_a_process_that_starts_slowly_is_waited_for(woken):
     slow = Beside([sys.executable, "-c", "import time\ntime.sleep(9.0)\n" + SCRIPT], woken.set, patience=6.0, limit=6.0)
     try:

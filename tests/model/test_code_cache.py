@@ -101,6 +101,7 @@ for index in Path(sys.argv[1]).rglob("mine.twice*.nbi"):
 """
 
 
+@pytest.mark.slow
 def test_code_that_was_planted_in_a_shared_folder_is_not_run_and_a_sentence_says_so(tmp_path):
     folder, fell = tmp_path / "shared", tmp_path / "fell"
     (tmp_path / "mine.py").write_text(_MODULE, encoding="utf-8")

@@ -58,8 +58,7 @@ IN_A_FILE = {
 
 # A process each: these, one of a kind and of a way in, are tried by `make test`, the others by `make test-slow`.
 _TRIED_FIRST = {
-    "nan", "float_for_an_integer", "unknown_key", "no_equilibrium", "no_bag_given", "unknown_argument",
-    "file_negative_mass", "file_broken_yaml",
+    "nan", "unknown_key", "no_equilibrium", "no_bag_given", "unknown_argument", "file_negative_mass",
 }  # fmt: skip
 _NAMES = [*ON_THE_COMMAND_LINE, *(f"file_{name}" for name in IN_A_FILE)]
 

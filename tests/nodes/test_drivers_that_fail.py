@@ -116,6 +116,7 @@ def test_settings_for_a_driver_that_has_none_are_refused_at_start(compiled, proc
     assert "unknown key 'voltage': the driver 'bench' has no settings of its own" in rig.errors
 
 
+@pytest.mark.slow
 def test_a_driver_without_a_block_is_told_with_its_time_and_the_rig_goes_on(
     compiled, processes, observer, bench_driver
 ):

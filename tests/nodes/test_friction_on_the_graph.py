@@ -71,6 +71,7 @@ def test_in_squeal_a_window_holds_both_estimates_the_truth_and_the_difference(be
     assert np.all(np.abs(windows["difference"]) > 0.1)
 
 
+@pytest.mark.slow
 def test_samples_without_a_safe_denominator_are_marked_invalid_and_never_nan(bench):
     # A second estimator that asks for more than squeal always has; the first takes what there is.
     names = {"__node": "strict_estimator", "friction/samples": "strict/samples", "friction/windows": "strict/windows"}
@@ -105,6 +106,7 @@ def test_samples_without_a_safe_denominator_are_marked_invalid_and_never_nan(ben
     np.testing.assert_allclose(samples["mu"][good], expected, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_window_without_a_valid_sample_has_no_mu_and_says_so(bench):
     names = {"__node": "deaf_estimator", "friction/samples": "deaf/samples", "friction/windows": "deaf/windows"}
     renamed = [word for name, new in names.items() for word in ("-r", f"{name}:={new}")]

@@ -13,6 +13,8 @@ from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterValue
 from rcl_interfaces.srv import GetParameterTypes, SetParameters, SetParametersAtomically
 from rosgraph_msgs.msg import Clock
 
+pytestmark = pytest.mark.slow  # every node at once
+
 REFERENCE = Path(__file__).parents[2] / "bags" / "reference"
 NODES = ("rig", "friction_estimator", "stability", "squeal_detector", "supervisor", "recorder", "player")
 NO_SUCH_TYPE = [Parameter(name="preload", value=ParameterValue(type=200))]

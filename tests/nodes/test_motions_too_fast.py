@@ -42,6 +42,7 @@ def test_a_rig_that_sticks_reports_a_fault_answers_and_ends(compiled, processes,
     assert "Traceback" not in rig.errors
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "extreme",
     [
@@ -49,7 +50,6 @@ def test_a_rig_that_sticks_reports_a_fault_answers_and_ends(compiled, processes,
         pytest.param(
             {"mass": 0.001, "damping_x": 1e6, "damping_y": 1e6, "contact_stiffness": 1e12},
             id="stiff",
-            marks=pytest.mark.slow,
         ),
     ],
 )

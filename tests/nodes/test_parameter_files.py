@@ -75,6 +75,7 @@ def dumped(observer, name):
     return "\n".join(lines) + "\n"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RIG_OR_SLOW)
 def test_what_a_node_dumps_it_loads_and_the_check_takes(compiled, processes, observer, tmp_path, name):
     extra = parameters(regularization_speed=1e-05) if name == "rig" else []

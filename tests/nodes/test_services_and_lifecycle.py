@@ -159,6 +159,7 @@ def test_the_lifecycle_decides_what_may_be_set_and_called(compiled, processes, o
     assert "Traceback" not in node.errors
 
 
+@pytest.mark.slow
 def test_after_shutdown_nothing_advises_an_activation_that_cannot_be(compiled, processes, observer):
     node = processes.node("simulator")
     assert observer.state() == "active"
@@ -170,6 +171,7 @@ def test_after_shutdown_nothing_advises_an_activation_that_cannot_be(compiled, p
     assert node.end()[0] == 0
 
 
+@pytest.mark.slow
 def test_an_activation_that_cannot_be_is_a_failed_transition_and_leaves_the_node_alive(compiled, processes, observer):
     rig = "/impossible/rig"
     stiffness = parameters(k1=0.0, k2=0.0, k3=0.0, k4=0.0)

@@ -10,6 +10,8 @@ from tests.made_bag import write_squeal
 
 pytest.importorskip("rclpy")
 
+pytestmark = pytest.mark.slow  # every node, and every signal at it
+
 NODES = ("rig", "simulator", "friction_estimator", "stability", "squeal_detector", "supervisor", "recorder", "player")
 SIGNALS = {
     "sigint": (signal.SIGINT,),

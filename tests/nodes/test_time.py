@@ -117,6 +117,7 @@ def test_a_node_samples_by_itself_once_started(compiled, processes, observer, me
     assert node.end()[0] == 0
 
 
+@pytest.mark.slow
 def test_after_an_overrun_no_reset_turns_the_time_back(compiled, processes, observer):
     rig = processes.node("simulator", *parameters(sample_rate=12800))
     blocks, health = observer.follow_samples("daq/samples", depth=2000), observer.follow("/diagnostics")

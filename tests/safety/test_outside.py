@@ -46,9 +46,9 @@ else:
     ("what", "code", "said"),
     [
         ("ends", 0, ""),
-        ("inactive", 0, ""),
+        pytest.param("inactive", 0, "", marks=pytest.mark.slow),
         ("silent", -signal.SIGKILL, "silent for "),
-        ("loses it", -signal.SIGKILL, "silent for "),
+        pytest.param("loses it", -signal.SIGKILL, "silent for ", marks=pytest.mark.slow),
         ("dies", -signal.SIGKILL, "has ended while it drove the rig"),
     ],
 )

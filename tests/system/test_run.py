@@ -228,7 +228,9 @@ def test_a_bag_that_exists_already_is_refused_before_anything_starts(planned, in
     assert {path: path.stat().st_mtime_ns for path in bag.rglob("*")} == before
 
 
-@pytest.mark.parametrize("domain", ["abc", "0000000000300", "0x12c"])
+@pytest.mark.parametrize(
+    "domain", ["abc", *(pytest.param(d, marks=pytest.mark.slow) for d in ("0000000000300", "0x12c"))]
+)
 def test_a_domain_that_is_none_is_a_sentence(domain, tmp_path):
     environment = {**os.environ, "ROS_DOMAIN_ID": domain}
     start = [sys.executable, str(_PACKAGE / "nodes" / "start.py"), "simulator"]
