@@ -67,7 +67,8 @@ class Recovery:
     messages saved, of them `unproved` without a checksum in the file; chunks saved and damaged; `lost` messages that
     the numbering or the summary shows to be missing; `lost_seconds` [s] between intact pieces with damage in between;
     `closed` whether every file had its ending; `unread_bytes` behind the last intact piece of files without one;
-    `files_within` other MCAP files found inside; `missing_files` names of files that the folder lacks.
+    `files_within` other MCAP files found inside; `missing_files` names of files that the folder lacks; `unended`
+    whether the file is not there in which a recorder of ours says how the recording ended.
     """
 
     messages: int = 0
@@ -82,11 +83,12 @@ class Recovery:
     lost_records: int = 0
     files_within: int = 0
     missing_files: list[str] = field(default_factory=list)
+    unended: bool = False
 
     @property
     def complete(self) -> bool:
         """Whether nothing is known to be lost."""
-        left_out = self.refused or self.files_within or self.missing_files
+        left_out = self.refused or self.files_within or self.missing_files or self.unended
         return self.closed and not (self.lost or self.damaged_chunks or self.unread_bytes or left_out)
 
     def sentences(self) -> list[str]:
@@ -113,5 +115,7 @@ class Recovery:
         if self.missing_files:
             few = ", ".join(self.missing_files[:_MAX_NAMED])
             told.append(f"{len(self.missing_files)} files of the bag are not there ({few}): what was in them is lost")
+        elif self.unended:
+            told.append("no file says how the recording ended: the last ones are not there, what was in them is lost")
         told += [f"{count} messages were left out: {reason}" for reason, count in self.refused.items()]
         return told

@@ -33,7 +33,9 @@ def recover(source: str | Path, directory: str | Path) -> Recovery:
         for path in paths:
             rescue.take_file(path)
         report = rescue.report
-        report.missing_files = missing_files(Path(source)) if Path(source).is_dir() else []
+        if Path(source).is_dir():
+            report.missing_files = missing_files(Path(source))
+            report.unended = rescue.ours and report.closed and "ending" not in rescue.custom
         if rescue.writer is None:
             raise RecordingError(f"{source} holds no intact chunk: nothing can be recovered.")
         rescue.writer.add_custom_data(_custom_data(rescue, report))
@@ -53,6 +55,7 @@ class _Rescue:
         self.writer: BagWriter | None = None
         self.report = Recovery()
         self.custom: dict[str, str] = {}
+        self.ours = False
         self._handles: dict[str, ChannelHandle] = {}
         self._definitions: dict[str, MessageSchema] = {}
         self._numbers: dict[str, int] = {}
@@ -89,6 +92,7 @@ class _Rescue:
             self._proves = self._proves or piece.proved
             self._save(piece, file)
         loose = salvage.loose
+        self.ours = self.ours or is_numbered(loose.library)
         report.closed = report.closed and loose.closed
         report.files_within += loose.files_within
         if loose.statistics is not None:

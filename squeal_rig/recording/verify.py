@@ -204,7 +204,10 @@ def _check_metadata(path: Path, indexes: list[FileIndex], topics: dict[str, _Top
         verdict.error(path.name, str(error))
         return
     if "ending" not in told:
-        verdict.warn(path.name, "does not say how the recording ended")
+        # A recorder of ours says it in the last file.
+        ours = path.is_dir() and any(is_numbered(index.library) for index in indexes)
+        tell = verdict.error if ours else verdict.warn
+        tell(path.name, "does not say how the recording ended" + (": its last file is not there" if ours else ""))
     for key, meaning in _OWN_COUNTS.items():
         if told.get(key, "0") != "0":
             verdict.warn(path.name, f"says of itself that {told[key]} messages {meaning}")
