@@ -58,7 +58,7 @@ class FileChecker:
     def messages(self) -> Iterator[ChunkMessage]:
         """Yield the messages in the file's order; `faults` is complete afterwards."""
         with FileBytes(self.index.path) as data:
-            self._read_summary(data)
+            behind = self._read_summary(data)
             end: tuple[int, int] | None = None  # where the data section ends, and its checksum
             try:
                 for opcode, start, after in iter_records(data, len(MAGIC), len(data) - len(MAGIC)):
@@ -66,6 +66,8 @@ class FileChecker:
                         record = parse_record(opcode, data[start:after])
                         assert isinstance(record, DataEnd)
                         end = start - HEAD.size, record.data_section_crc
+                        if behind is not None and after != behind:
+                            self._fault(f"what lies from byte {after} to {behind} is of no section of the file")
                         break
                     yield from self._record(opcode, start, data, after)
             except BrokenRecordError as error:
@@ -203,7 +205,8 @@ class FileChecker:
             if found and (channel is None or channel.schema_id not in self.index.schemas):
                 self._fault(f"channel {channel_id} has {found} messages and no definition")
 
-    def _read_summary(self, data: FileBytes) -> None:
+    def _read_summary(self, data: FileBytes) -> int | None:
+        """Take the summary; returns where the data must end: where it begins, or the footer. None without a footer."""
         footer = read_footer(data)
         if footer is not None and footer.summary_start:
             offsets = footer.summary_offset_start
@@ -221,6 +224,7 @@ class FileChecker:
                     self._try_reading(opcode, data, first, last)
                 elif opcode not in _SUMMARY and opcode < _PRIVATE:
                     self._fault(f"the summary holds a record of opcode {opcode}, which has no place there")
+        return None if footer is None else footer.summary_start or len(data) - ENDING
 
     def _fault(self, sentence: str) -> None:
         if len(self.faults) < _MAX_FAULTS:

@@ -277,3 +277,16 @@ def test_a_record_that_has_no_place_among_the_data_is_an_error(tmp_path):
     data[data.index(b"note.txt") - 4 - 16 - 9] ^= 9 ^ 10
     path.write_bytes(data)
     assert any("a record of opcode 10 has no place among the data" in told for told in errors(path))
+
+
+def test_what_lies_between_the_data_and_the_summary_is_an_error(tmp_path):
+    """A footer there: the summary is where the last one says, and who reads from front to back ends at the first."""
+    path = tmp_path / "loose_0.mcap"
+    loose_file(path, [SCHEMA, CHANNEL, MESSAGE], [SCHEMA, CHANNEL, COUNTS])
+    assert verify(path).sound
+    data = path.read_bytes()
+    start = int.from_bytes(data[-28:-20], "little")
+    footer = bytearray(data[-37:])
+    footer[9:17] = (start + 29).to_bytes(8, "little")
+    path.write_bytes(data[:start] + bytes(footer[:29]) + data[start:-37] + bytes(footer))
+    assert any("is of no section of the file" in told for told in errors(path)), errors(path)
