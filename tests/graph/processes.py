@@ -150,6 +150,15 @@ def patient_config(folder):
     return file
 
 
+def has_ended(pid):
+    """Whether a process has ended; one that nobody has waited for yet has, too."""
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0]
+    except OSError:
+        return True
+    return state == "Z"
+
+
 def parameters(**values):
     """`-p name:=value` for every value, as text; a list as one of texts."""
     return [word for name, value in values.items() for word in ("-p", f"{name}:={_text(value)}")]

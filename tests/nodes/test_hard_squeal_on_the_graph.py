@@ -10,7 +10,7 @@ import pytest
 
 from squeal_rig.estimation.hard_squeal import COMPUTED, NAME, STATE_KEY, hard_squeal
 from squeal_rig.model import smallest_hit, zone
-from tests.graph.processes import parameters
+from tests.graph.processes import has_ended, parameters
 from tests.graph.statuses import status_of
 
 pytest.importorskip("rclpy")
@@ -31,15 +31,6 @@ def _child_of(pid):
     """The process beside a node."""
     children = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="utf-8").split()
     return [int(child) for child in children if b"hard_squeal" in Path(f"/proc/{child}/cmdline").read_bytes()]
-
-
-def _ended(pid):
-    """Whether a process has ended; one that nobody has waited for yet has, too."""
-    try:
-        state = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0]
-    except OSError:
-        return True
-    return state == "Z"
 
 
 def test_it_follows_an_update_and_equals_what_is_computed_offline(bench):
@@ -89,7 +80,7 @@ def test_the_process_beside_is_started_again_and_ends_with_its_node(compiled, pr
     (beside,) = _child_of(stability.process.pid)
     stability.send(signal.SIGKILL)
     deadline = time.monotonic() + 30.0  # it is niced: a busy machine has little time for it
-    while not _ended(beside):
+    while not has_ended(beside):
         assert time.monotonic() < deadline, "the process beside outlived its node"
         time.sleep(0.05)
     assert rig.end()[0] == 0

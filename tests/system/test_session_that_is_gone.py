@@ -9,7 +9,7 @@ import pytest
 
 from squeal_rig.recording import Bag
 from tests.graph import PATIENCE
-from tests.graph.processes import patient_config
+from tests.graph.processes import has_ended, patient_config
 
 pytest.importorskip("rclpy")
 
@@ -39,14 +39,6 @@ def _wait(condition, what):
         time.sleep(0.05)
 
 
-def _ended(pid):
-    try:
-        state = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0]
-    except OSError:
-        return True
-    return state == "Z"
-
-
 @pytest.fixture
 def session(processes, tmp_path):
     """(child, nodes, bag) of a session that samples and records."""
@@ -58,7 +50,7 @@ def session(processes, tmp_path):
     assert set(nodes) == NODES
     yield child, nodes, tmp_path / "bag"
     for pid in nodes.values():
-        if not _ended(pid):
+        if not has_ended(pid):
             os.kill(pid, signal.SIGKILL)
 
 
@@ -67,7 +59,7 @@ def test_the_nodes_end_with_their_session_and_the_bag_is_closed(session, number)
     child, nodes, bag = session
     child.send(number)
     assert child.wait() == -number
-    _wait(lambda: all(map(_ended, nodes.values())), f"the end of {nodes}")
+    _wait(lambda: all(map(has_ended, nodes.values())), f"the end of {nodes}")
     assert Bag(bag).ending == "complete"
 
 
@@ -89,11 +81,11 @@ def test_a_node_that_was_started_by_itself_lives_on_when_its_starter_ends(proces
         _wait(lambda: "Ctrl-C" in starter.errors + starter.output, "the running node")
         starter.kill()
         time.sleep(1.0)  # during which it must not end
-        assert not _ended(node)
+        assert not has_ended(node)
         os.kill(node, signal.SIGTERM)
-        _wait(lambda: _ended(node), "its end")
+        _wait(lambda: has_ended(node), "its end")
     finally:
-        if not _ended(node):
+        if not has_ended(node):
             os.kill(node, signal.SIGKILL)
 
 
