@@ -38,6 +38,7 @@ class Beside:
         self._patience, self._limit = patience, limit
         self._lock = threading.Lock()
         self._process: subprocess.Popen[bytes] | None = None
+        self._listener: threading.Thread | None = None
         self._wanted: Any = None
         self._asked: Any = None
         self._failed: Any = None
@@ -86,6 +87,8 @@ class Beside:
             assert process.stdin is not None
             with suppress(OSError):  # a question that it has not read is for nobody
                 process.stdin.close()
+            if self._listener is not None:  # it wakes a node that may be gone afterwards
+                self._listener.join(1.0)
 
     def _done(self) -> Any:
         """What was asked, which is not wanted any more."""
@@ -122,7 +125,8 @@ class Beside:
             self._process = subprocess.Popen(
                 list(self._command), stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
             )
-            threading.Thread(target=self._listen, args=(self._process,), name="beside", daemon=True).start()
+            self._listener = threading.Thread(target=self._listen, args=(self._process,), name="beside", daemon=True)
+            self._listener.start()
             self._since = math.inf
         else:
             self._since = time.monotonic()

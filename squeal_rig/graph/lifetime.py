@@ -25,6 +25,7 @@ from rclpy.exceptions import InvalidNamespaceException, InvalidNodeNameException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from squeal_rig.errors import ParameterError, SquealRigError
@@ -32,6 +33,9 @@ from squeal_rig.graph import signals
 
 # A signal only sets a flag, which is seen after this time [s] at most.
 _SPIN_TIMEOUT = 0.1
+# Time between leaving the graph and joining it anew [s]. In it everybody lets go of the shared memory there was with
+# us, and Fast DDS removes that by a name which ours may have again.
+_OUT_OF_THE_GRAPH = 3.0
 # Of the domains that have ports, the last.
 _LAST_DOMAIN = 232
 
@@ -40,20 +44,41 @@ STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 
 
 class Lifetime:
-    """Whether a node goes on; the node may end itself."""
+    """Whether a node goes on; the node may end itself, or have itself made anew.
+
+    `rejoins` counts how often it was made anew; `kept` are the parameters that it had, for the one that follows.
+    """
 
     def __init__(self) -> None:
-        self._stopped = False
-        self.exit_code = 0
+        self._stopped = self._leaving = False
+        self.exit_code = self.rejoins = 0
+        self.kept: list[Parameter] = []
 
     @property
     def stopping(self) -> bool:
         """Whether the node is to end: by itself, or since a signal has come."""
         return self._stopped or signals.asked_to_end()
 
+    @property
+    def spinning(self) -> bool:
+        """Whether the node that there is now is spun on."""
+        return not self.stopping and not self._leaving
+
     def stop(self, exit_code: int = 0) -> None:
         """End the node once the current callback returns."""
         self._stopped, self.exit_code = True, exit_code
+
+    def rejoin(self) -> None:
+        """Have the node leave the graph once the current callback returns, and join it anew with its parameters."""
+        self._leaving = True
+
+    def anew(self, node: Node) -> bool:
+        """Whether the node, which is spun no more, is to be made anew; its parameters are kept then."""
+        leaving, self._leaving = self._leaving and not self.stopping, False
+        if leaving:
+            self.rejoins += 1
+            self.kept = list(node.get_parameters_by_prefix("").values())
+        return leaving
 
 
 class GuardedExecutor(SingleThreadedExecutor):
@@ -178,6 +203,27 @@ def run_node(factory: Callable[[Lifetime], Node], args: Sequence[str] | None = N
 
 def _run(factory: Callable[[Lifetime], Node], args: Sequence[str] | None) -> int:
     lifetime = Lifetime()
+    while True:
+        code = _run_once(factory, args, lifetime)
+        if code is not None and (not code or not lifetime.rejoins or lifetime.stopping):
+            return code
+        # The parameters are kept: their files may have changed or gone by now.
+        args = _without_files(sys.argv if args is None else args)
+        joins = time.monotonic() + _OUT_OF_THE_GRAPH
+        while time.monotonic() < joins and not lifetime.stopping:
+            time.sleep(_SPIN_TIMEOUT)
+        if lifetime.stopping:
+            return lifetime.exit_code
+
+
+def _without_files(arguments: Sequence[str]) -> list[str]:
+    """Arguments of a node without its parameter files."""
+    files = [place for place, word in enumerate(arguments) if word == "--params-file"]
+    return [word for place, word in enumerate(arguments) if place not in files and place - 1 not in files]
+
+
+def _run_once(factory: Callable[[Lifetime], Node], args: Sequence[str] | None, lifetime: Lifetime) -> int | None:
+    """Run the node from joining the graph to leaving it; returns the exit code, None where it is to join anew."""
     try:
         join_graph(args)
         node = factory(lifetime)
@@ -193,21 +239,24 @@ def _run(factory: Callable[[Lifetime], Node], args: Sequence[str] | None) -> int
     executor.add_node(node)
     greeting = getattr(node, "greeting", "waiting for daq/samples")
     node.get_logger().info(f"{greeting}; ROS domain {node.context.get_domain_id()}, Ctrl-C ends it")
+    anew = False
     try:
-        while rclpy.ok() and not lifetime.stopping:
+        while rclpy.ok() and lifetime.spinning:
             executor.spin_once(_SPIN_TIMEOUT)
+        anew = lifetime.anew(node)
     finally:
         close = getattr(node, "close", None)
         try:
             if close is not None:
                 close()
         except Exception as error:
-            lifetime.exit_code = _refused(f"the node did not end well: {described(error)}", 1)
+            failed = _refused(f"the node did not end well: {described(error)}", 1)
+            lifetime.exit_code = lifetime.exit_code if anew else failed
         # Before its context: what it holds of that cannot be given back afterwards.
         executor.shutdown()
         node.destroy_node()
         rclpy.try_shutdown()
-    return lifetime.exit_code
+    return None if anew else lifetime.exit_code
 
 
 def _refused(sentence: str, exit_code: int) -> int:

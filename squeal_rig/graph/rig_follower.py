@@ -20,7 +20,7 @@ from squeal_rig.errors import SquealRigError
 from squeal_rig.graph import qos
 from squeal_rig.graph.conversions import ERROR, OK, STALE, WARN
 from squeal_rig.graph.health import Health
-from squeal_rig.graph.lifetime import STEADY
+from squeal_rig.graph.lifetime import STEADY, Lifetime
 from squeal_rig.instruments.channels import DAQ_CHANNELS, block_from_cdr
 from squeal_rig.instruments.description import RigDescription
 from squeal_rig.instruments.driver import Samples
@@ -28,14 +28,15 @@ from squeal_rig.instruments.numbering import Numbering
 from squeal_rig.model.parameters import RigParameters
 
 _RIG_NODE = "rig"
-_DAQ = "daq/samples"
-#: Value of a follower's health: how long no samples came although somebody offers them.
-UNSERVED = "unserved [s]"
+_DAQ, _DESCRIPTION = "daq/samples", "rig/description"
 _NUMBERS = [channel.name for channel in DAQ_CHANNELS if channel.code == "<f8"]
 # Time without samples [s] after which a node that needs them is stale.
 _LIMIT = 1.0
-# Where samples have stopped coming although somebody publishes them, waits between tries to wake them [s].
+# Where no samples come although somebody publishes them, waits between tries to wake them [s].
 _FIRST_WAIT, _LONGEST_WAIT = 3.0, 60.0
+# Tries in a row that bring nothing of the rig, not even what it keeps for those who come late, until a node is deaf to
+# it: 45 s. A rig that is stopped or killed is out of the graph after 20 s, and not tried.
+_DEAF = 4
 _LOOK_EVERY = 0.5
 # A rig is started again now and then; one that is every second is two.
 _MIXED = 2
@@ -50,6 +51,7 @@ class RigFollower:
         sampled: called with stamp [ns] and samples (n,) of every block of `daq/samples`; may raise a SquealRigError.
         depth: QoS of the blocks.
         events: follow `/parameter_events` too, which tell a change before the description does.
+        lifetime: of a node that joins the graph anew where it has become deaf to the rig; None for one that must not.
     """
 
     def __init__(
@@ -59,6 +61,7 @@ class RigFollower:
         sampled: Callable[[int, Samples], None],
         depth: QoSProfile = qos.BLOCKS_IN,
         events: bool = False,
+        lifetime: Lifetime | None = None,
     ) -> None:
         self._node = node
         self._described = described
@@ -69,13 +72,14 @@ class RigFollower:
         self._numbering = Numbering()
         self._blocks = self._rejected = self._refused = self._not_finite = 0
         self._told: dict[str, int] = {}
-        self._depth = depth
-        self._waking: Subscription | None = None
-        self._tries = self._wakings = 0
+        self._lifetime = lifetime
+        self._waking: tuple[Subscription, ...] = ()
+        self._answered = False
+        self._tries = self._unanswered = self._wakings = 0
         self._next_try = 0.0
         self.description: RigDescription | None = None
-        node.create_subscription(String, "rig/description", self._on_description, qos.LATCHED)
-        self._subscription = self._subscribe(self._on_block)
+        self._descriptions = node.create_subscription(String, _DESCRIPTION, self._on_description, qos.LATCHED)
+        self._samples = node.create_subscription(PointCloud2, _DAQ, self._on_block, depth, raw=True)
         node.create_timer(_LOOK_EVERY, self._wake, clock=STEADY)
         if events:
             namespace = node.get_namespace().rstrip("/")
@@ -136,29 +140,53 @@ class RigFollower:
     def _wake(self) -> None:
         """Have samples delivered again that are held back.
 
-        Readers that were all stopped for some seconds while the rig went on are often never served again by Fast DDS,
-        as a plain talker shows, until another one joins. One that takes nothing mostly is enough and loses nothing;
-        where it is not, ours is made anew. A rig that is paused looks the same from here, so tries become rare.
+        Where readers were stopped for some seconds while the rig went on, Fast DDS replaces the shared memory between
+        them, and may leave the rig with one that nobody reads, until another reader joins; rarely the reader with one
+        that nobody writes, for as long as it is in the graph. So others join, one of them of what the rig keeps for
+        those who come late: that comes from a rig that is paused, too, and says that all is well.
         """
         now = time.monotonic()
-        if self._last_block is None or now - self._last_block <= _LIMIT:
-            self._tries, self._next_try = 0, now
-        elif now >= self._next_try and self._node.count_publishers(self._subscription.topic_name) > 0:
-            self._next_try = now + min(_FIRST_WAIT * 2.0**self._tries, _LONGEST_WAIT)
-            if self._tries % 2:
-                self._node.destroy_subscription(self._subscription)
-                self._subscription = self._subscribe(self._on_block)
-            else:
-                self._waking = self._subscribe(_ignored)
+        if now - (self._started if self._last_block is None else self._last_block) <= _LIMIT:
+            self._tries, self._unanswered, self._next_try = 0, 0, now
+        elif now >= self._next_try and self._offered(self._samples):
+            silent = self._tries > 0 and not self._answered and self._offered(self._descriptions)
+            self._unanswered = self._unanswered + 1 if silent else 0
+            if self._is_deaf() and self._lifetime is not None:
+                self._node.get_logger().warning(
+                    "nothing of the rig arrives although it is there: joining the graph anew"
+                )
+                self._lifetime.rejoin()
+                return
+            self._next_try = now + min(_FIRST_WAIT * 2.0 ** min(self._tries, 10), _LONGEST_WAIT)
             self._tries += 1
             self._wakings += 1
+            self._answered = False
+            self._end_waking()
+            self._waking = (
+                self._node.create_subscription(PointCloud2, _DAQ, _ignored, qos.BLOCKS, raw=True),
+                self._node.create_subscription(String, _DESCRIPTION, self._on_answer, qos.LATCHED),
+            )
             return
-        if self._waking is not None and (self._tries == 0 or now > self._next_try - 0.5 * _FIRST_WAIT):
-            self._node.destroy_subscription(self._waking)
-            self._waking = None
+        if self._tries == 0 or now > self._next_try - 0.5 * _FIRST_WAIT:
+            self._end_waking()
 
-    def _subscribe(self, taken: Callable[[bytes], None]) -> Subscription:
-        return self._node.create_subscription(PointCloud2, _DAQ, taken, self._depth, raw=True)
+    def _offered(self, subscription: Subscription) -> bool:
+        return self._node.count_publishers(subscription.topic_name) > 0
+
+    def _is_deaf(self) -> bool:
+        """Whether nothing comes of a rig that was heard before; where joining anew did not help, it takes longer."""
+        rejoins = self._lifetime.rejoins if self._lifetime is not None else 0
+        return self._unanswered >= _DEAF + rejoins and (self.description is not None or rejoins > 0)
+
+    def _on_answer(self, message: String) -> None:
+        self._answered = True
+        if self.description is None:
+            self._on_description(message)
+
+    def _end_waking(self) -> None:
+        for subscription in self._waking:
+            self._node.destroy_subscription(subscription)
+        self._waking = ()
 
     # --- health
 
@@ -172,12 +200,12 @@ class RigFollower:
             "rejected messages": self._rejected,
             "refused descriptions": self._refused,
             "wakings": self._wakings,
+            "rejoins": self._lifetime.rejoins if self._lifetime is not None else 0,
         }
         new = {name: count - self._told.get(name, 0) for name, count in counts.items()}
         self._told = counts
-        unserved = time.monotonic() - self._last_block if self._tries and self._last_block is not None else 0.0
         level, sentence = self._judged(new)
-        return level, sentence, {**values, **counts, UNSERVED: round(unserved, 1)}
+        return level, sentence, {**values, **counts}
 
     def _judged(self, new: Mapping[str, int]) -> tuple[bytes, str]:
         if self._refusal:

@@ -37,7 +37,7 @@ class RigOutputs:
     """
 
     def __init__(self, node: Node, publishes_truth: bool, publishes_clock: bool) -> None:
-        self._node, make = node, node.create_publisher
+        make = node.create_publisher
         names = ("daq/samples", "truth/samples") if publishes_truth else ("daq/samples",)
         self._samples = {name: make(PointCloud2, name, qos.BLOCKS) for name in names}
         self._published = dict.fromkeys(names, 0)  # blocks of each publisher
@@ -63,13 +63,6 @@ class RigOutputs:
         self._end = block.stamp + _BLOCK_NS
         if self._clock is not None:
             self._clock.publish(Clock(clock=time_message(self._end)))
-
-    def renew(self) -> None:
-        """Make the publishers of samples anew."""
-        for name, publisher in self._samples.items():
-            self._node.destroy_publisher(publisher)
-            self._samples[name] = self._node.create_publisher(PointCloud2, name, qos.BLOCKS)
-            self._published[name] = 0
 
     def listeners(self) -> dict[str, int]:
         """Health values: subscribers to the samples."""

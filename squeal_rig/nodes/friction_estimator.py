@@ -32,11 +32,11 @@ class FrictionEstimatorNode(Node):
     """Estimates friction from what the rig measures, with the rig's constants from its description."""
 
     def __init__(self, lifetime: Lifetime) -> None:
-        super().__init__("friction_estimator", **NODE_OPTIONS)
+        super().__init__("friction_estimator", parameter_overrides=lifetime.kept, **NODE_OPTIONS)
         self._follower = FrictionFollower(DeclaredParameters(self, (FrictionSettings(),)).group(FrictionSettings))
         self._windows = 0
         self._outputs = {name: self.create_publisher(kind, name, profile) for name, (kind, profile) in _TOPICS.items()}
-        self._rig = RigFollower(self, self._follower.take_rig, self._on_block)
+        self._rig = RigFollower(self, self._follower.take_rig, self._on_block, lifetime=lifetime)
         self.create_subscription(PointCloud2, "truth/samples", self._on_truth, qos.BLOCKS_IN, raw=True)
         HealthPublisher(self, self._health)
 

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
@@ -15,13 +14,11 @@ from rclpy.timer import Timer
 
 from squeal_rig.configuration.declared import Declared
 from squeal_rig.errors import DriverError, ParameterError, SafetyError
-from squeal_rig.graph import qos
-from squeal_rig.graph.conversions import ERROR, OK, WARN, status_number
-from squeal_rig.graph.health import Health, HealthPublisher, own_name
+from squeal_rig.graph.conversions import ERROR, OK, WARN
+from squeal_rig.graph.health import Health, HealthPublisher
 from squeal_rig.graph.lifetime import STEADY, Lifetime, described, run_node
 from squeal_rig.graph.names import Claim, is_running
 from squeal_rig.graph.parameters import NODE_OPTIONS, DeclaredParameters, overrides
-from squeal_rig.graph.rig_follower import UNSERVED
 from squeal_rig.graph.rig_interface import RigOutputs, offer_services
 from squeal_rig.graph.stop_path import StopPath
 from squeal_rig.instruments.acquisition import Acquisition, change_refusal
@@ -45,8 +42,6 @@ _TURN = 0.1
 _MOST_AT_ONCE = 4
 # Time without a block of a driver [s] that is worth a warning, and that is an error.
 _QUIET, _SILENT = 0.2, 1.0
-# A node that has got no samples for so long [s] has tried to get them by itself; tries of ours are so far apart [s].
-_UNSERVED_LIMIT, _RENEW_EVERY = 6.0, 10.0
 _WATCHDOG = (sys.executable, str(Path(__file__).with_name("start.py")), "watchdog")
 _WAITING = "waiting for the supervisor's heartbeat and the process beside"
 _SIM_TIME = "use_sim_time"
@@ -85,8 +80,6 @@ class RigNode(LifecycleNode):
             raise DriverError(f"rig: {full_name} runs on ROS domain {domain} already: give this one a namespace")
         self._outputs = RigOutputs(self, self._can.knows_truth, self._settings.real_time_factor != 1.0)
         offer_services(self, {"reset": self.reset, "impact": self.impact, "zero": self.zero}, self.pause)
-        self._renewals, self._renewed = 0, time.monotonic()
-        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_health, qos.EVENTS)
         self._health_publisher = HealthPublisher(self, self._health)
         self.greeting = f"driver {self._driver_name}, {self._settings.sample_rate} Hz"
         self._stop = StopPath(
@@ -405,22 +398,6 @@ class RigNode(LifecycleNode):
 
     # --- health
 
-    def _on_health(self, message: DiagnosticArray) -> None:
-        """Serve samples again that the middleware holds back, where a node tells that none come.
-
-        Once readers were stopped for seconds, Fast DDS was seen to deliver nothing of a publisher any more, to new
-        readers neither. Nodes that follow the rig first try to be served again by themselves.
-        """
-        for status in message.status:
-            unserved = status_number(status, UNSERVED) if own_name(self, status.name) else 0.0
-            if unserved > _UNSERVED_LIMIT and self._active and not self._paused and not self._fault:
-                now = time.monotonic()
-                if now - self._renewed > _RENEW_EVERY:
-                    self._renewed = now
-                    self._renewals += 1
-                    self.get_logger().warning(f"{status.name} has got no samples for {unserved:.0f} s: publishing anew")
-                    self._outputs.renew()
-
     def _health(self) -> Health:
         acquisition = self._acquisition
         behind, overruns = self._pacer.worst_behind(), self._pacer.overruns - self._told_overruns
@@ -434,7 +411,6 @@ class RigNode(LifecycleNode):
             "overruns": self._pacer.overruns,
             "behind [ms]": round(1e3 * behind, 1),
             "skipped [s]": round(self._pacer.skipped_seconds, 3),
-            "publishers made anew": self._renewals,
             "not measured": ", ".join(sorted(self._can.not_measured)),
             "tared": bool(acquisition is not None and acquisition.tare),
             **self._outputs.listeners(),

@@ -26,7 +26,7 @@ class SquealDetectorNode(Node):
     """Watches the pad's displacement along the belt for squeal."""
 
     def __init__(self, lifetime: Lifetime) -> None:
-        super().__init__("squeal_detector", **NODE_OPTIONS)
+        super().__init__("squeal_detector", parameter_overrides=lifetime.kept, **NODE_OPTIONS)
         declared = DeclaredParameters(self, (SquealSettings(), ToneSettings()))
         self._settings, self._tones = declared.group(SquealSettings), declared.group(ToneSettings)
         self._detector: SquealDetector | None = None
@@ -36,7 +36,7 @@ class SquealDetectorNode(Node):
         self._sample_rate = 0
         self._fault = ""
         self._publisher = self.create_publisher(DiagnosticArray, "squeal/state", qos.EVENTS)
-        self._rig = RigFollower(self, self._on_rig, self._on_block)
+        self._rig = RigFollower(self, self._on_rig, self._on_block, lifetime=lifetime)
         HealthPublisher(self, self._health)
 
     def _on_rig(self, rig: RigDescription) -> None:

@@ -38,7 +38,7 @@ class StabilityNode(Node):
     """
 
     def __init__(self, lifetime: Lifetime) -> None:
-        super().__init__("stability", **NODE_OPTIONS)
+        super().__init__("stability", parameter_overrides=lifetime.kept, **NODE_OPTIONS)
         self._declared = DeclaredParameters(self, (StabilitySettings(),), apply=self._on_settings)
         self._follower = StabilityFollower(self._settings.hard_squeal)
         self._description: RigDescription | None = None
@@ -50,7 +50,7 @@ class StabilityNode(Node):
             name: self.create_publisher(kind, name, qos.LATCHED)
             for name, kind in ((EIGENVALUES, Float64MultiArray), (SUMMARY, DiagnosticArray))
         }
-        self._rig = RigFollower(self, self._on_rig, self._on_block, qos.BLOCKS, events=True)
+        self._rig = RigFollower(self, self._on_rig, self._on_block, qos.BLOCKS, events=True, lifetime=lifetime)
         self.create_subscription(PointCloud2, "friction/windows", self._on_window, qos.EVENTS, raw=True)
         HealthPublisher(self, self._health)
 

@@ -32,14 +32,14 @@ class ViewNode(Node):
     """Feeds a `ViewFollower` from the graph and publishes what it says."""
 
     def __init__(self, lifetime: Lifetime) -> None:
-        super().__init__("view", **NODE_OPTIONS)
+        super().__init__("view", parameter_overrides=lifetime.kept, **NODE_OPTIONS)
         self._settings = DeclaredParameters(self, (ViewSettings(),)).group(ViewSettings)
         self._follower: ViewFollower | None = None
         self._sample_rate = 0
         self._numbers: Numbers = {}
         types = dict.fromkeys(ARRAYS, Float64MultiArray) | dict.fromkeys((*NUMBERS, SCOPE_RATE), Float64)
         self._outputs = {topic: self.create_publisher(kind, topic, qos.EVENTS) for topic, kind in types.items()}
-        self._rig = RigFollower(self, self._on_rig, self._on_block)
+        self._rig = RigFollower(self, self._on_rig, self._on_block, lifetime=lifetime)
         subscribe = self.create_subscription
         subscribe(PointCloud2, "truth/samples", self._on_truth, qos.BLOCKS_IN, raw=True)
         subscribe(PointCloud2, "friction/windows", self._on_window, qos.EVENTS, raw=True)

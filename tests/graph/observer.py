@@ -78,10 +78,13 @@ class Observer:
     # --- waiting
 
     def wait_for(self, condition, what, timeout=PATIENCE):
-        """Spin until the condition holds; returns its value. Fails after `timeout` [s]."""
+        """Spin until the condition holds; returns its value. Fails after `timeout` [s], and says what was awaited.
+
+        `what` may be a function, for what is known only then.
+        """
         deadline = time.monotonic() + timeout
         while not (value := condition()):
-            assert time.monotonic() < deadline, f"{what}: not within {timeout:g} s"
+            assert time.monotonic() < deadline, f"{what() if callable(what) else what}: not within {timeout:g} s"
             self._executor.spin_once(timeout_sec=0.02)
         return value
 

@@ -5,7 +5,6 @@ import signal
 import pytest
 
 from tests.graph.processes import parameters
-from tests.graph.statuses import health_of
 
 pytest.importorskip("rclpy")
 
@@ -60,30 +59,3 @@ def test_a_session_keeps_to_this_machine_unless_told_otherwise(monkeypatch):
     monkeypatch.delenv("ROS_DOMAIN_ID")
     monkeypatch.delenv("ROS_AUTOMATIC_DISCOVERY_RANGE")
     assert keep_to_this_machine() == "ROS_DOMAIN_ID 0, ROS_AUTOMATIC_DISCOVERY_RANGE LOCALHOST"
-
-
-def test_a_paused_rig_of_another_name_costs_this_one_no_samples(compiled, processes, observer):
-    """Its nodes miss samples and say so; only those of its own namespace have a rig publish anew."""
-    from diagnostic_msgs.msg import DiagnosticArray
-
-    from squeal_rig.graph import qos
-    from squeal_rig.graph.conversions import WARN, diagnostics, status
-    from squeal_rig.graph.rig_follower import UNSERVED
-
-    rig = processes.node("simulator", *parameters(sample_rate=12800))
-    health = observer.follow("/diagnostics")
-    stranger = observer.node.create_publisher(DiagnosticArray, "/diagnostics", qos.EVENTS)
-
-    def renewed(name):
-        """Publishers made anew, after a node of that name has told for 14 s, longer than between two of them."""
-        for _ in range(70):
-            stranger.publish(diagnostics(0, status(WARN, name, "no samples", {UNSERVED: 30.0})))
-            observer.spin(0.2)
-        return int(health_of(health, "rig")[2]["publishers made anew"])
-
-    blocks = observer.follow_samples("daq/samples", depth=5)
-    observer.wait_for(lambda: blocks and health_of(health, "rig"), "samples, and the rig's health")
-    observer.wait_for(lambda: stranger.get_subscription_count() > 0, "the rig's ear")
-    assert renewed("b/friction_estimator") == 0
-    assert renewed("friction_estimator") >= 1
-    assert rig.end()[0] == 0
