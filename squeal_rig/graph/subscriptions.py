@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.exceptions import NameValidationException
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
@@ -28,7 +30,6 @@ class _Topic:
     taken: Taken
     request: QoSProfile
     subscription: Any = field(init=False)
-    publishers: int = 0  # that the subscription has found
 
 
 def waiting(subscription: Any) -> Iterator[tuple[bytes, Any]]:
@@ -67,7 +68,7 @@ class TopicSubscriptions:
     @property
     def heard(self) -> list[str]:
         """Topics whose publishers the subscription has found itself: it gets what they publish from now on."""
-        return sorted(name for name, topic in self._topics.items() if topic.publishers > 0)
+        return sorted(name for name, topic in self._topics.items() if topic.subscription.get_publisher_count() > 0)
 
     def discover(self) -> None:
         """Subscribe to wanted topics that have a publisher by now."""
@@ -93,15 +94,15 @@ class TopicSubscriptions:
             if len(types) > 1:
                 raise RecordingError(f"it has several types: {', '.join(types)}")
             message_class(types[0])
-            taken = self._found(topic, types[0], offered)
-        except RecordingError as error:
+            known = _Topic(types[0], self._found(topic, types[0], offered), requested_qos(offered))
+            self._subscribe(topic, known)
+        except (RecordingError, NameValidationException, rclpy_implementation.RCLError) as error:
             if self.unknown.get(topic) != str(error):
                 self.unknown[topic] = str(error)
                 self._node.get_logger().warning(f"{topic} is not recorded: {error}")
             return
         self.unknown.pop(topic, None)
-        self._topics[topic] = known = _Topic(types[0], taken, requested_qos(offered))
-        self._subscribe(topic, known)
+        self._topics[topic] = known
 
     def _adapt(self, topic: str, known: _Topic, offered: list[QosProfile]) -> None:
         """Ask for less where a publisher that came later offers less; never for more."""
@@ -114,21 +115,29 @@ class TopicSubscriptions:
             for data, info in waiting(known.subscription):  # it would go with the subscription
                 known.taken(data, info)
             self._node.destroy_subscription(known.subscription)
-            known.request, known.publishers = request, 0
+            del self._topics[topic]
+            known.request = request
             self._subscribe(topic, known)
+            self._topics[topic] = known
 
     def _subscribe(self, topic: str, known: _Topic) -> None:
-        def matched(info: Any) -> None:
-            known.publishers = info.current_count
-
         known.subscription = self._node.create_subscription(
             message_class(known.type_name),
             topic,
             known.taken,
             known.request,
             raw=True,
-            event_callbacks=SubscriptionEventCallbacks(message_lost=self._on_lost, matched=matched),
+            # An executor looks at every event before each message: none but this one, not even those that warn.
+            event_callbacks=SubscriptionEventCallbacks(message_lost=self._on_lost, use_default_callbacks=False),
         )
+
+    def drain(self, until: int) -> None:
+        """Take of every topic what has arrived by a time [ns]."""
+        for topic in self._topics.values():
+            for data, info in waiting(topic.subscription):
+                topic.taken(data, info)
+                if (info["received_timestamp"] or 0) > until:
+                    break
 
     def _on_lost(self, info: Any) -> None:
         self.lost += info.total_count_change

@@ -19,7 +19,7 @@ from squeal_rig.graph.health import HEARD, LAST_TAKEN, Health, HealthPublisher
 from squeal_rig.graph.lifetime import STEADY, Lifetime, run_node
 from squeal_rig.graph.parameter_watch import ParameterWatch, Values
 from squeal_rig.graph.parameters import NODE_OPTIONS, DeclaredParameters
-from squeal_rig.graph.subscriptions import Taken, TopicSubscriptions, waiting
+from squeal_rig.graph.subscriptions import Taken, TopicSubscriptions
 from squeal_rig.recording import QosProfile
 from squeal_rig.recording.gaps import CLOUD_TYPE
 from squeal_rig.recording.session import RecordingSession, SessionTopic
@@ -118,12 +118,8 @@ class RecorderNode(Node):
 
     def _drain(self) -> None:
         """Take what has arrived by now: after a slow disk that may be seconds, which would be lost with the node."""
-        until = self._now()
-        for subscription in (found for found in self.subscriptions if found.raw and self._session.recording):
-            for data, info in waiting(subscription):
-                subscription.callback(data, info)
-                if not self._session.recording or (info["received_timestamp"] or 0) > until:
-                    break
+        if self._session.recording:
+            self._topics.drain(self._now())
 
     # --- services
 
@@ -196,8 +192,10 @@ class RecorderNode(Node):
     def close(self) -> None:
         """Close the bag; it says whether the node was ended or fell."""
         error = sys.exc_info()[1]
-        self._drain()
-        self._end("complete" if error is None else f"aborted: {type(error).__name__}: {error}")
+        try:
+            self._drain()
+        finally:
+            self._end("complete" if error is None else f"aborted: {type(error).__name__}: {error}")
 
 
 def _sound_time(time: int | None) -> int:
