@@ -73,6 +73,7 @@ class RigFollower:
         self._blocks = self._rejected = self._refused = self._not_finite = 0
         self._told: dict[str, int] = {}
         self._lifetime = lifetime
+        self._rejoins = lifetime.rejoins if lifetime is not None else 0
         self._waking: tuple[Subscription, ...] = ()
         self._answered = False
         self._tries = self._unanswered = self._wakings = 0
@@ -146,7 +147,8 @@ class RigFollower:
         those who come late: that comes from a rig that is paused, too, and says that all is well.
         """
         now = time.monotonic()
-        if now - (self._started if self._last_block is None else self._last_block) <= _LIMIT:
+        # Who has not been served yet is left alone: others count who listens before they begin.
+        if self._silence(now) <= _LIMIT or (self._last_block is None and not self._rejoins):
             self._tries, self._unanswered, self._next_try = 0, 0, now
         elif now >= self._next_try and self._offered(self._samples):
             silent = self._tries > 0 and not self._answered and self._offered(self._descriptions)
@@ -170,13 +172,15 @@ class RigFollower:
         if self._tries == 0 or now > self._next_try - 0.5 * _FIRST_WAIT:
             self._end_waking()
 
+    def _silence(self, now: float) -> float:
+        return now - (self._started if self._last_block is None else self._last_block)
+
     def _offered(self, subscription: Subscription) -> bool:
         return self._node.count_publishers(subscription.topic_name) > 0
 
     def _is_deaf(self) -> bool:
         """Whether nothing comes of a rig that was heard before; where joining anew did not help, it takes longer."""
-        rejoins = self._lifetime.rejoins if self._lifetime is not None else 0
-        return self._unanswered >= _DEAF + rejoins and (self.description is not None or rejoins > 0)
+        return self._unanswered >= _DEAF + self._rejoins and (self.description is not None or self._rejoins > 0)
 
     def _on_answer(self, message: String) -> None:
         self._answered = True
@@ -200,7 +204,7 @@ class RigFollower:
             "rejected messages": self._rejected,
             "refused descriptions": self._refused,
             "wakings": self._wakings,
-            "rejoins": self._lifetime.rejoins if self._lifetime is not None else 0,
+            "rejoins": self._rejoins,
         }
         new = {name: count - self._told.get(name, 0) for name, count in counts.items()}
         self._told = counts
@@ -211,7 +215,7 @@ class RigFollower:
         if self._refusal:
             kept = "the one before is in use" if self.description is not None else "there is none"
             return ERROR, f"the rig's description was refused, {kept}: {self._refusal}"
-        since = time.monotonic() - (self._started if self._last_block is None else self._last_block)
+        since = self._silence(time.monotonic())
         if self._last_block is None:
             return WARN if since < _LIMIT else STALE, f"no {_DAQ} yet"
         if since > _LIMIT:

@@ -94,7 +94,10 @@ class Spoken:
     async def until(self, condition, patience=PATIENCE):
         deadline = time.monotonic() + patience
         while not condition():
-            assert time.monotonic() < deadline, (self.topics, self.services, self.answers)
+            silent = [topic for topic, count in self.topics.items() if not count]
+            assert time.monotonic() < deadline, (
+                f"{silent} say nothing; services {self.services}, answers {self.answers}"
+            )
             try:
                 message = await asyncio.wait_for(self._socket.receive(), 1.0)
             except asyncio.TimeoutError:
