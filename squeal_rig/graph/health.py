@@ -16,7 +16,8 @@ from squeal_rig.graph.lifetime import STEADY, GuardedExecutor, described
 Health = tuple[bytes, str, Mapping[str, Any]]
 
 
-#: Key of a health value, before a topic: subscribers of it that no message is lost for from now on.
+#: Key of a health value, before a topic: subscriptions of it that no message is lost for from now on. A follower of the
+#: rig that samples have stopped coming to has two for a while.
 LISTENERS = "listeners to "
 
 #: Key of the recorder's health value: the topics of whose publishers it knows.

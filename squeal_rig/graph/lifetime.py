@@ -207,7 +207,7 @@ def _run(factory: Callable[[Lifetime], Node], args: Sequence[str] | None) -> int
         code = _run_once(factory, args, lifetime)
         if code is not None and (not code or not lifetime.rejoins or lifetime.stopping):
             return code
-        # The parameters are kept: their files may have changed or gone by now.
+        # It ran before, so it is tried until it runs again. Parameters are kept: their files may have changed by now.
         args = _without_files(sys.argv if args is None else args)
         joins = time.monotonic() + _OUT_OF_THE_GRAPH
         while time.monotonic() < joins and not lifetime.stopping:

@@ -143,14 +143,15 @@ class RigFollower:
 
         Where readers were stopped for some seconds while the rig went on, Fast DDS replaces the shared memory between
         them, and may leave the rig with one that nobody reads, until another reader joins; rarely the reader with one
-        that nobody writes, for as long as it is in the graph. So others join, one of them of what the rig keeps for
-        those who come late: that comes from a rig that is paused, too, and says that all is well.
+        that nobody writes, for as long as it is in the graph. So this node subscribes once more, to what the rig keeps
+        for those who come late, too: that comes from a rig that is paused as well, and says that all is well.
         """
         now = time.monotonic()
         # Who has not been served yet is left alone: others count who listens before they begin.
-        if self._silence(now) <= _LIMIT or (self._last_block is None and not self._rejoins):
+        unserved = self._last_block is None and not self._rejoins
+        if self._silence(now) <= _LIMIT or unserved or not self._offered(self._samples):
             self._tries, self._unanswered, self._next_try = 0, 0, now
-        elif now >= self._next_try and self._offered(self._samples):
+        elif now >= self._next_try:
             silent = self._tries > 0 and not self._answered and self._offered(self._descriptions)
             self._unanswered = self._unanswered + 1 if silent else 0
             if self._is_deaf() and self._lifetime is not None:
@@ -179,8 +180,8 @@ class RigFollower:
         return self._node.count_publishers(subscription.topic_name) > 0
 
     def _is_deaf(self) -> bool:
-        """Whether nothing comes of a rig that was heard before; where joining anew did not help, it takes longer."""
-        return self._unanswered >= _DEAF + self._rejoins and (self.description is not None or self._rejoins > 0)
+        """Whether nothing comes of the rig; where joining anew did not help, it takes longer the next time."""
+        return self._unanswered >= _DEAF + (self._rejoins if self._last_block is None else 0)
 
     def _on_answer(self, message: String) -> None:
         self._answered = True

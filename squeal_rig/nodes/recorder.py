@@ -194,6 +194,9 @@ class RecorderNode(Node):
         error = sys.exc_info()[1]
         try:
             self._drain()
+        except Exception as failure:
+            error = error or failure
+            raise
         finally:
             self._end("complete" if error is None else f"aborted: {type(error).__name__}: {error}")
 

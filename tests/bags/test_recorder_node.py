@@ -41,10 +41,10 @@ def told(health, key, otherwise=0.0):
 def damage(bag):
     """What is wrong with a bag, beside messages that a busy machine lost on the way here or brought late."""
     errors = [finding for finding in verify(bag).findings if finding.level == "error"]
-    told = int(Bag(bag).custom_data["lost_messages"])
-    missing = [(finding, re.match(r"(\d+) (samples|messages) are missing", finding.sentence)) for finding in errors]
-    lost = sum(int(found[1]) / (ROWS if found[2] == "samples" else 1) for _, found in missing if found)
-    return [finding for finding, found in missing if not found or lost > told]
+    missing = [(finding, re.match(r"(\d+) samples are missing", finding.sentence)) for finding in errors]
+    lost = sum(int(found[1]) // ROWS for _, found in missing if found)
+    accounted = lost <= int(Bag(bag).custom_data["lost_messages"])
+    return [finding for finding, found in missing if not (found and accounted)]
 
 
 def recording(observer, health, count=100):

@@ -1,6 +1,7 @@
 """Estimators that were stopped for seconds, all at once: they say what they lost, and are well again by themselves."""
 
 import signal
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -59,7 +60,9 @@ def test_a_node_to_which_nothing_of_the_rig_comes_joins_the_graph_anew(compiled,
     observer.wait_for(lambda: told("blocks"), "samples")
     assert observer.set({"hard_squeal": False}, "stability") == [(True, "")]
     # What Fast DDS does to a reader that was stopped, now and then: a rig that is new to it finds another file.
-    for port in _ports_in_shared_memory(node.process.pid):
+    ports = _ports_in_shared_memory(node.process.pid)
+    assert ports
+    for port in ports:
         Path(f"/dev/shm/fastrtps_port{port}").unlink()
     assert rig.end()[0] == 0
     rig = processes.node("simulator")
@@ -72,6 +75,9 @@ def test_a_node_to_which_nothing_of_the_rig_comes_joins_the_graph_anew(compiled,
 
 def _ports_in_shared_memory(pid):
     """Ports at which a process listens in Fast DDS's shared memory, by the names of its threads."""
-    names = [file.read_text().strip() for file in Path(f"/proc/{pid}/task").glob("*/comm")]
+    names = []
+    for file in Path(f"/proc/{pid}/task").glob("*/comm"):
+        with suppress(OSError):  # a thread that has just ended
+            names.append(file.read_text().strip())
     ports = [name.removeprefix("dds.shm.") for name in names if name.startswith("dds.shm.")]
     return [port for port in ports if port.isdigit()]
