@@ -96,7 +96,7 @@ def test_a_rig_that_wants_a_supervisor_waits_for_its_heartbeat_and_obeys_it(comp
     timer.reset()
     observer.wait_for(lambda: blocks and state() == "running", "samples")
     level[0] = 3
-    observer.wait_for(lambda: _safe(safe)[2]["stopped"] == "true", "the stop")
+    observer.wait_for(lambda: _safe(safe) and _safe(safe)[2]["stopped"] == "true", "the stop")
     done, told = observer.trigger("reset")
     assert (done, "the supervisor's latch stands, set its parameter reset_reason" in told) == (False, True)
     level[0] = 0
@@ -134,7 +134,7 @@ def test_a_reset_of_the_supervisor_is_refused_in_a_sentence(compiled, processes,
     assert reset() == (False, "reset_reason is empty: set it to what was found and mended, then reset again")
     # Topic and heartbeat are two ways to the rig; where its reset comes before either, the heartbeat stops it again.
     observer.wait_for(lambda: not observer.trigger("reset")[0], "the rig's reset refused")
-    observer.wait_for(lambda: _safe(safe)[2]["stopped"] == "true", "the rig's stop")
+    observer.wait_for(lambda: _safe(safe) and _safe(safe)[2]["stopped"] == "true", "the rig's stop")
     assert not observer.trigger("reset")[0]
     assert observer.set({"reset_reason": "seen"}, node="supervisor") == [(True, "")]
     observer.wait_for(lambda: reset()[0], "the reset")
