@@ -48,8 +48,11 @@ class MessageSchema:
         None where the one reads the other's messages.
 
         Comments, spacing and the packages of fields do not count: they differ between releases of the same definition.
+        One in another language (`encoding`) reads nothing of this one's.
         A part of another text without a head is in conflict with all: nobody reads by it.
         """
+        if self.encoding != other.encoding:
+            return other.type_name[:100]
         if self.text == other.text:
             return None
         for schema in (self, other):

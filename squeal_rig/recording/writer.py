@@ -121,7 +121,7 @@ class BagWriter:
         self._chunk = ChunkBuilder(compression)
         self._chunk_deadline = 0.0
         self._handles: dict[str, ChannelHandle] = {}
-        self._schemas: dict[tuple[str, str], Schema] = {}
+        self._schemas: dict[tuple[str, str, str], Schema] = {}
         self._closed_files: list[McapFile] = []
         self._file_start: int | None = None
         self._messages = 0
@@ -318,7 +318,7 @@ class BagWriter:
             self._chunk.clear()
 
     def _new_handle(self, topic: str, definition: MessageSchema, qos: tuple[QosProfile, ...]) -> ChannelHandle:
-        key = (definition.type_name, definition.text)
+        key = (definition.type_name, definition.text, definition.encoding)
         schema = self._schemas.get(key)
         if schema is None:
             text = definition.text.encode()

@@ -70,6 +70,20 @@ def test_a_definition_that_nobody_can_read_by_is_no_other_wording_of_a_good_one(
         merge(bags, tmp_path / "both")
 
 
+def test_topics_whose_definitions_differ_in_language_alone_keep_theirs(tmp_path):
+    """Found by fuzz, which had damaged the name of one."""
+    other = MessageSchema(PAIR, FORCES.text, encoding="ros2\0sg")
+    with BagWriter(tmp_path / "a") as writer:
+        for topic, definition in (("/other", other), ("/forces", FORCES)):
+            writer.write(writer.add_topic(topic, PAIR, schema=definition), bytes(20), START, START)
+    cut(tmp_path / "a", tmp_path / "piece")
+    told = {name: topic.schema.encoding for name, topic in Bag(tmp_path / "piece").topics.items()}
+    assert told == {"/other": other.encoding, "/forces": FORCES.encoding}
+    bags = [write(tmp_path / "b", FORCES), tmp_path / "a"]
+    with pytest.raises(RecordingError, match=r"a: test_rig/msg/Pair of /other has other fields than in .*b"):
+        merge(bags, tmp_path / "both")
+
+
 def test_recover_keeps_the_first_definition_and_leaves_out_the_messages_of_another(tmp_path):
     folder = tmp_path / "files"
     folder.mkdir()
