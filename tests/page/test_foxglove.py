@@ -115,6 +115,11 @@ class Spoken:
                 self.topics[channel["topic"]] = 0
                 self.times[channel["topic"]] = []
                 await self.send(op="subscribe", subscriptions=[{"id": channel["id"], "channelId": channel["id"]}])
+        elif content["op"] == "status" and (found := re.fullmatch(r"Unknown channel ID: (\d+)", content["message"])):
+            # The library tells its clients of a channel a moment before it knows it itself.
+            await asyncio.sleep(0.1)
+            number = int(found[1])
+            await self.send(op="subscribe", subscriptions=[{"id": number, "channelId": number}])
         elif content["op"] == "advertiseServices":
             self.services |= {service["name"]: service["id"] for service in content["services"]}
         elif content["op"] == "parameterValues":
