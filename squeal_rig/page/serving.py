@@ -5,13 +5,14 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import threading
+from abc import ABC, abstractmethod
 
 from squeal_rig.errors import ConfigurationError, printable
 
 _START_TIMEOUT = 10.0
 
 
-class ServerThread:
+class ServerThread(ABC):
     """Runs `_serve`, which listens at `_address`, sets `port`, calls `_listens` and returns after `_stopping`.
 
     Args:
@@ -74,5 +75,6 @@ class ServerThread:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         self._failure = f"{self._what} cannot listen on {self._address[0]} port {self._address[1]}: {reason}"
 
+    @abstractmethod
     async def _serve(self) -> None:
-        raise NotImplementedError  # each kind of server has its own
+        """Listen, and serve until cancelled: each kind of server in its own way."""
