@@ -139,7 +139,7 @@ def run(bench, case):
     find = {"supervisor": _told, "rig": _stopped, "watchdog": _stopped_from_outside}[case.by]
 
     def told():
-        at = find(bench, case, 1e9 * (begun - 0.05))  # not one of before
+        at = find(bench, case, 1e9 * begun)  # not one of before
         if at is None:
             _refuse_disturbed(bench, case)
         return at

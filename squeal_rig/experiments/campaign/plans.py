@@ -47,7 +47,7 @@ _MOST_STEPS, _MOST_LEVELS, _MOST_REPEATS, _MOST_PHASES = 100_000, 100_000, 10_00
 _OF_FRICTION = ("preload", "belt_speed", *COEFFICIENTS)
 _KEYS = (
     "campaign", "note", "rig", "factors", "design", "points", "order", "by_hand", "repeats", "seed", "measure",
-    "protocol", "detection", "stop", "record", "scatter",
+    "protocol", "detection", "stop", "scatter",
 )  # fmt: skip
 
 
@@ -90,8 +90,8 @@ class Stop:
 
 @dataclass(frozen=True)
 class Campaign:
-    """A checked plan. `base`: the rig that factors are changed on; `record`: what is kept beside the tables; `scatter`:
-    parameter -> standard deviation from rig to rig, as a share.
+    """A checked plan. `base`: the rig that factors are changed on; `scatter`: parameter -> standard deviation from rig to
+    rig, as a share.
     """
 
     title: str
@@ -104,7 +104,6 @@ class Campaign:
     squeal: SquealSettings = field(default_factory=SquealSettings)
     tones: ToneSettings = field(default_factory=ToneSettings)
     stop: Stop = field(default_factory=Stop)
-    record: tuple[str, ...] = ()
     scatter: Mapping[str, float] = field(default_factory=dict)
     note: str = ""
     text: str = ""
@@ -163,9 +162,8 @@ def parse_campaign(text: str, source: str) -> Campaign:
         rate = RigSettings().sample_rate
         reader.tried("detection", lambda: SquealEvents(rate, squeal, tones))
     _check_friction(reader, base, design)
-    record = tuple(reader.words("record", (), ("bag",)))
     return Campaign(
-        title, base, design, protocol, measure, start, settle, squeal, tones, stop, record, _scatter(reader, base),
+        title, base, design, protocol, measure, start, settle, squeal, tones, stop, _scatter(reader, base),
         str(content.get("note", "")), text,
     )  # fmt: skip
 

@@ -244,7 +244,7 @@ const page = (() => {
         input.dataset.filled = "yes";
       }
     }
-    $("hit-note").textContent = `Impact of ${shown(set.impact_impulse, 4, "N s")}; smallest that squeals: `
+    $("hit-note").textContent = `Impact of ${shown(set.impact_impulse, 4, "N s")}; smallest hit that starts squeal: `
       + (seen.smallest_hit === 0 ? "none is needed" : shown(seen.smallest_hit, 3, "N s"));
     const level = ["ok-text", "warn-text", "error-text", "error-text"];
     const word = ["OK", "WARN", "ERROR", "STALE"];
