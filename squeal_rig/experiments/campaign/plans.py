@@ -90,8 +90,8 @@ class Stop:
 
 @dataclass(frozen=True)
 class Campaign:
-    """A checked plan. `base`: the rig that factors are changed on; `scatter`: parameter -> standard deviation from rig to
-    rig, as a share.
+    """A checked plan. `base`: the rig that factors are changed on; `scatter`: parameter -> standard deviation from
+    rig to rig, as a share.
     """
 
     title: str
