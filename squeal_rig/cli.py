@@ -65,9 +65,9 @@ def run(
     config: Annotated[Path | None, typer.Option(help="Node parameters; the package's rig.yaml by default.")] = None,
     bag: Annotated[Path | None, typer.Option(help="Bag to write; bags/<UTC stamp> by default.")] = None,
     record: Annotated[bool, typer.Option(help="Record a bag.")] = True,
-    plan: Annotated[Path | None, typer.Option(help="Plan to run; the rig runs until Ctrl-C without.")] = None,
+    plan: Annotated[Path | None, typer.Option(help="Plan to run; without one the rig runs until Ctrl-C.")] = None,
     duration: Annotated[
-        float | None, typer.Option(help="Longest run without a plan [s].", min=0.0, callback=_finite)
+        float | None, typer.Option(help="End a run that has no plan after so long [s].", min=0.0, callback=_finite)
     ] = None,
     instruments: InstrumentsOption = None,
     page: Annotated[bool, typer.Option("--page", help="Serve the operator's page too.")] = False,
@@ -106,7 +106,7 @@ def run(
 @app.command("page")
 def operators_page(
     bag: Annotated[
-        Path | None, typer.Argument(help="A bag to show, read-only; the live rig without.", metavar="[BAG]")
+        Path | None, typer.Argument(help="A bag to show, read-only; the live rig where none is given.", metavar="[BAG]")
     ] = None,
     config: Annotated[Path | None, typer.Option(help="Node parameters; the package's rig.yaml by default.")] = None,
     address: Annotated[str | None, typer.Option(help="Address to listen on; 127.0.0.1 by default.")] = None,
@@ -179,7 +179,7 @@ def analyse(
     if analysis.lost_samples:
         console.print(f"lost samples: {analysis.lost_samples}")
     if analysis.restarts:
-        console.print(f"the rig was started anew {analysis.restarts} times: the parts are joined end to end")
+        console.print(f"restarts of the rig: {analysis.restarts}; the parts are joined end to end")
     draw_run(analysis, target, force)
     console.print(f"picture: {target}")
 
@@ -235,7 +235,7 @@ def zone_map(
     speed: Annotated[str, typer.Option(help="Range of the belt speed [m/s], low:high.", metavar="LOW:HIGH")] = "1:4",
     force: FolderForceOption = False,
 ) -> None:
-    """Where a rig is quiet, where one hit makes it squeal, where it squeals by itself: over preload and belt speed."""
+    """Where a rig is quiet, where an impact makes it squeal, where it squeals by itself: over preload and speed."""
     from squeal_rig.configuration.arguments import span
     from squeal_rig.model.parameters import RigParameters
     from squeal_rig.studies.hard_squeal.pages import run_map
@@ -306,7 +306,7 @@ def calibrate(
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the search.", min=0)] = 1,
     starts: Annotated[int, typer.Option(help="Independent searches.", min=1)] = 8,
-    generations: Annotated[int, typer.Option(help="At most, of each search.", min=1)] = 600,
+    generations: Annotated[int, typer.Option(help="Most generations of each search.", min=1)] = 600,
     out: Annotated[Path, typer.Option(help="Preset to write.")] = Path("calibrated.yaml"),
 ) -> None:
     """Find a rig that meets thresholds, frequencies, contact loss or jumps; leaves a preset with its residuals."""
@@ -355,7 +355,8 @@ def campaign_run(
 def campaign_resume(
     folder: CampaignFolder,
     config: Annotated[
-        Path | None, typer.Option(help="Live: node parameters that it was begun with; it keeps them itself.")
+        Path | None,
+        typer.Option(help="Live: node parameters that it was begun with, where its folder does not keep them."),
     ] = None,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = "",
@@ -373,7 +374,7 @@ def campaign_resume(
 
 @campaign_app.command("status")
 def campaign_status(folder: CampaignFolder) -> None:
-    """How far a campaign is."""
+    """How far a campaign has come."""
     from squeal_rig.experiments.campaign.running import status
 
     for sentence in status(folder):
@@ -452,7 +453,7 @@ def cut(
     out: OutArgument,
     start: Annotated[float, typer.Option(help="Begin [s after the first message].", min=0.0, callback=_finite)] = 0.0,
     end: Annotated[
-        float | None, typer.Option(help="End [s after the first message]; the bag's end without.", callback=_finite)
+        float | None, typer.Option(help="End [s after the first message]; the bag's end by default.", callback=_finite)
     ] = None,
     topic: TopicsOption = None,
 ) -> None:
@@ -494,7 +495,7 @@ def export(
 
 @bag_app.command()
 def estimate(bag: BagArgument, out: OutArgument) -> None:
-    """Compute friction and stability again from the log, with today's code, and compare with what was recorded."""
+    """Compute friction and stability again from a bag, with today's code, and compare with what was recorded."""
     from squeal_rig.report.bag_reports import estimate_text
 
     console.print(estimate_text(bag, out))

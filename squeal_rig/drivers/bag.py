@@ -95,13 +95,13 @@ class BagRig:
             raise DriverError(f"{self._settings.bag} holds no block of samples")
         if first.rig.sample_rate != settings.sample_rate:
             raise DriverError(
-                f"sample_rate = {settings.sample_rate} Hz, and {self._settings.bag} was recorded at"
+                f"sample_rate = {settings.sample_rate} Hz, but {self._settings.bag} was recorded at"
                 f" {first.rig.sample_rate} Hz"
             )
         for name in declarations(RigParameters).keys() - RUN_TIME_PARAMETERS:
             here, there = getattr(parameters, name), getattr(first.rig.parameters, name)
             if here != there:
-                raise DriverError(f"{name} = {here}, and the rig of {self._settings.bag} was one of {there}")
+                raise DriverError(f"{name} = {here}, but the rig of {self._settings.bag} was one of {there}")
 
     def close(self) -> None:
         """Let go of the bag."""
@@ -114,7 +114,7 @@ class BagRig:
 
     def impact(self, impulse_x: float, impulse_y: float) -> None:
         """Refused: what was recorded is what there is."""
-        raise DriverError("a recorded run cannot be hit")
+        raise DriverError("a recorded run cannot be given an impact")
 
     def read(self, in_force: RigParameters) -> Reading | None:
         """The next recorded block once it is due, else None.
@@ -185,7 +185,7 @@ class BagRig:
         size, most = len(block.daq), self._rig_settings.block_size
         if size > most:
             raise DriverError(
-                f"block {self._given} of {self._settings.bag} has {size} samples, and a block of this rig {most}"
+                f"block {self._given} of {self._settings.bag} has {size} samples, but a block of this rig {most}"
             )
         daq = _copied(block.daq, DAQ_CHANNELS)
         truth = None

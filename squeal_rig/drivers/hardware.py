@@ -131,7 +131,7 @@ class HardwareRig:
 
     def impact(self, impulse_x: float, impulse_y: float) -> None:
         """Refused: a hammer is for hands."""
-        raise DriverError("this rig cannot hit the pad by itself: use an impact hammer")
+        raise DriverError("this rig cannot give the pad an impact: use an impact hammer")
 
     def read(self, in_force: RigParameters) -> Reading | None:
         """The next block that is ready; what is in force goes to the units.
@@ -336,7 +336,7 @@ class HardwareRig:
             unit.hold_safe()
         try:
             _command_all(dict(self._safe_lines))
-            done = "belt and preload were commanded to stop" if self._safe_lines else ""
+            done = "every Modbus unit with a safe command has accepted it" if self._safe_lines else ""
         except DriverError as error:
             done = f"the safe command was not accepted: {error}"
         self._fault = f"{sentence}; {done}" if done else sentence

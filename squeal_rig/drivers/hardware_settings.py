@@ -44,7 +44,11 @@ class AcquisitionSettings(Declared):
         upper=1e9,
     )
     queue: float = quantity(
-        2.0, "samples kept for a rig that does not ask; older ones are lost", unit="s", lower=0.1, upper=60.0
+        2.0,
+        "time for which samples are kept while the rig does not read them; older ones are lost",
+        unit="s",
+        lower=0.1,
+        upper=60.0,
     )
     write_interval: float = quantity(
         0.05, "time between two writes of a set point at least, and between two reads", unit="s", lower=0.005, upper=5.0
@@ -173,7 +177,9 @@ def load_hardware(path: str) -> HardwareSettings:
     for name, text in parts["set_points"].items():
         where = f"{path}, set_points.{name}"
         if name not in MOVABLE:
-            raise ConfigurationError(f"{where}: it can be {' or '.join(MOVABLE)}, by a register")
+            raise ConfigurationError(
+                f"{where}: there is no such set point: {' and '.join(MOVABLE)} can be moved by a register"
+            )
         set_points[name] = _register_at(where, text, units, MOVABLE[name], writable=True)
     return HardwareSettings(acquisition, signals, measured, fixed, units, set_points)
 
@@ -204,14 +210,17 @@ def _channels(
             raise ConfigurationError(f"{path}, {where}: exactly one of {', '.join(_SOURCES)} says where it comes from")
         if "fixed" in entry:
             if len(entry) > 1:
-                raise ConfigurationError(f"{path}, {where}: fixed is one number in {UNITS.get(name, 'its unit')}")
+                raise ConfigurationError(
+                    f"{path}, {where}: fixed stands alone, one number in {UNITS.get(name, 'its unit')}:"
+                    f" {', '.join(sorted(entry.keys() - {'fixed'}))} has no effect beside it"
+                )
             fixed[name] = _number(f"{path}, {where}", "fixed", entry["fixed"])
             continue
         source = declared_from(ChannelSource, path, entry, where)
         if source.sign == 0:
             raise ConfigurationError(f"{path}, {where}: sign = 0 must be 1 or -1")
         if name in UNITS and source.unit != UNITS[name]:
-            raise ConfigurationError(f"{path}, {where}: unit = {source.unit!r}, and the channel is in {UNITS[name]}")
+            raise ConfigurationError(f"{path}, {where}: unit = {source.unit!r}, but the channel is in {UNITS[name]}")
         if source.register:
             _register_at(f"{path}, {where}", source.register, units)
             if source.delay:
@@ -244,7 +253,7 @@ def _register(path: str, where: str, raw: object) -> Register:
     if register.write_function not in (6, 16):
         raise ConfigurationError(f"{path}, {where}: write_function = {register.write_function} must be 6 or 16")
     if register.write_function == 6 and register.type not in ("uint16", "int16"):
-        raise ConfigurationError(f"{path}, {where}: write_function = 6 writes 16 bits, and type = {register.type}")
+        raise ConfigurationError(f"{path}, {where}: write_function = 6 writes 16 bits, but type = {register.type}")
     if register.scale == 0.0:
         raise ConfigurationError(f"{path}, {where}: scale = 0 leaves nothing of what it holds")
     return register
@@ -278,7 +287,7 @@ def _register_at(where: str, text: object, units: Mapping[str, Unit], unit: str 
     if writable and register.kind != "holding":
         raise ConfigurationError(f"{where}: {text} is an input register, which cannot be written")
     if unit and register.unit != unit:
-        raise ConfigurationError(f"{where}: {text} is in {register.unit!r}, and {unit} is needed")
+        raise ConfigurationError(f"{where}: {text} is in {register.unit!r}, but {unit} is needed")
     return place
 
 

@@ -193,9 +193,9 @@ class UnitThread:
         self._safe.set()
 
     def fault(self, stale_after: float) -> str:
-        """A sentence where it has not answered for that long [s], with how long that is."""
+        """A sentence where it has not answered, or has refused, for that long [s], with how long that is."""
         error, age = self._error, time.monotonic() - self._heard
-        return f"{error}: no answer for {age:.2f} s" if error and age > stale_after else ""
+        return f"{error}: without success for {age:.2f} s" if error and age > stale_after else ""
 
     def _run(self) -> None:
         last = time.monotonic()

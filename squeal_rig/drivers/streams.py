@@ -111,7 +111,7 @@ class Streams:
         values = np.frombuffer(packet.data, dtype=layout.dtype).astype(np.float64)
         count = int(packet.sample_count)
         if len(values) != count:
-            raise DriverError(f"signal {name} has {len(values) / max(count, 1):g} numbers a sample, and one is meant")
+            raise DriverError(f"signal {name} has {len(values) / max(count, 1):g} numbers a sample: it must be one")
         return Packet(name, _time(packet.domain_packet, count, layout), values)
 
 
@@ -155,7 +155,7 @@ def _layout(name: str, packet: Any, rate: int) -> _Layout:
     descriptor, domain = packet.data_descriptor, packet.domain_packet
     kind = str(descriptor.sample_type).rpartition(".")[2]
     if kind not in _TYPES:
-        raise DriverError(f"signal {name} has samples of {kind}, and numbers are meant")
+        raise DriverError(f"signal {name} has samples of {kind}: they must be numbers")
     if domain is None:
         raise DriverError(f"signal {name} comes without any time")
     ticks = domain.data_descriptor

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from squeal_rig.configuration.declared import Declared, quantity, unknown_name
+from squeal_rig.configuration.declared import Declared, quantity
 from squeal_rig.configuration.files import config_directory, load_yaml
 from squeal_rig.errors import ConfigurationError, ParameterError
 
@@ -18,10 +18,10 @@ _OF_RANGE = "share of the range"
 class Sensor(Declared):
     """An analog sensor with its amplifier. Tolerances are bounds: what one specimen has is drawn within them.
 
-    In every field 0 stands for an effect that is not there; a range of 0 has no end.
+    In every field 0 stands for an effect that is not there; a range of 0 is no limit.
     """
 
-    range: float = quantity(0.0, "largest magnitude it shows; 0: no end", lower=0.0, upper=1e9)
+    range: float = quantity(0.0, "largest magnitude it shows; 0: no limit", lower=0.0, upper=1e9)
     sensitivity_error: float = quantity(0.0, "tolerance of the sensitivity after calibration", lower=0.0, upper=0.5)
     offset: float = quantity(0.0, "tolerance of the reading at zero", unit=_OF_RANGE, lower=0.0, upper=0.5)
     linearity: float = quantity(
@@ -49,7 +49,7 @@ class Sensor(Declared):
 
 
 def _range(unit: str) -> Any:
-    return quantity(0.0, "largest magnitude it shows; 0: no end", unit=unit, lower=0.0, upper=1e9)
+    return quantity(0.0, "largest magnitude it shows; 0: no limit", unit=unit, lower=0.0, upper=1e9)
 
 
 def _noise(unit: str) -> Any:
@@ -92,10 +92,10 @@ class TorqueReport(Declared):
         0.0, "time constant of its first-order low-pass; 0: none", unit="s", lower=0.0, upper=100.0
     )
     update_rate: int = quantity(
-        0, "values told per second, held in between; 0: every sample", unit="Hz", lower=0, upper=1_000_000
+        0, "values reported per second, held in between; 0: every sample", unit="Hz", lower=0, upper=1_000_000
     )
-    delay: float = quantity(0.0, "time from a value to its telling", unit="s", lower=0.0, upper=1.0)
-    resolution: float = quantity(0.0, "step of the values told; 0: none", unit="N m", lower=0.0, upper=1e6)
+    delay: float = quantity(0.0, "delay until a value is reported", unit="s", lower=0.0, upper=1.0)
+    resolution: float = quantity(0.0, "step of the reported values; 0: none", unit="N m", lower=0.0, upper=1e6)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -154,7 +154,7 @@ class BeltDrive(Declared):
         5.0, "natural frequency of the speed control", unit="Hz", lower=0.01, upper=200.0
     )
     control_damping: float = quantity(1.0, "damping ratio of the speed control", lower=0.1, upper=10.0)
-    torque_limit: float = quantity(0.0, "largest torque of the motor; 0: no end", unit="N m", lower=0.0, upper=1e9)
+    torque_limit: float = quantity(0.0, "largest torque of the motor; 0: no limit", unit="N m", lower=0.0, upper=1e9)
     run_out: float = quantity(0.0, "eccentricity of the drum", unit="m", lower=0.0, upper=0.1)
     speed_ripple: float = quantity(
         0.0, "amplitude of the ripple of the belt's speed", unit="share of the speed", lower=0.0, upper=0.5
@@ -196,7 +196,7 @@ class DataSheets:
             for channel, sensor in self.analog.items():
                 if not sensor.range:
                     raise ParameterError(
-                        f"daq: bits = {self.daq.bits} are of an input range, and the sensor of {channel} has none:"
+                        f"daq: bits = {self.daq.bits} need an input range, but the sensor of {channel} has none:"
                         " give every analog sensor a range above 0"
                     )
 
@@ -260,7 +260,7 @@ def data_sheets_of(content: object, path: Path | str) -> DataSheets:
     blocks: dict[str, Any] = {}
     for key, body in content.items():
         if key not in BLOCKS:
-            raise ConfigurationError(f"{path}: {unknown_name(str(key), BLOCKS)}: blocks are {', '.join(BLOCKS)}")
+            raise ConfigurationError(f"{path}: unknown block {str(key)!r}: it must be one of {', '.join(BLOCKS)}")
         if not isinstance(body, dict):
             raise ConfigurationError(f"{path}, {key}: expected a mapping of names to values, got {body!r}")
         try:

@@ -96,7 +96,7 @@ class RigSettings(Declared):
 
     supervisor_required: bool = quantity(
         False,
-        "it moves only while a supervisor's heartbeat comes, and a process beside watches that it can be stopped",
+        "it moves only while a supervisor's heartbeat comes, and a watchdog process sees to it that it can be stopped",
         read_only=True,
     )
     heartbeat_timeout: float = quantity(
@@ -109,7 +109,7 @@ class RigSettings(Declared):
     )
     watchdog_timeout: float = quantity(
         1.0,
-        "time that the rig's process cannot be stopped from within after which the process beside kills it",
+        "time that the rig's process cannot be stopped from within after which the watchdog kills it",
         unit="s",
         lower=0.2,
         upper=60.0,

@@ -47,7 +47,7 @@ class PlayerNode(Node):
         self._declared = DeclaredParameters(self, (PlayerSettings(),), refuse=self._refuse)
         settings = self._settings
         if not settings.bag:
-            raise RecordingError("player: bag is empty: give the folder or .mcap file to play")
+            raise RecordingError("player: bag = '' names no bag: give the folder or .mcap file to play")
         self._bag = Bag(settings.bag)
         self._skipped: dict[str, str] = {}
         self._outputs = self._make_outputs()
@@ -159,9 +159,9 @@ class PlayerNode(Node):
     def _refuse(self, name: str, _now: Declared, wanted: Declared) -> str | None:
         if name == "seek_to" and self._transport is not None and isinstance(wanted, PlayerSettings):
             try:
-                self._transport.log_time(wanted.seek_to)
+                self._transport.log_time("seek_to", wanted.seek_to)
             except RecordingError as error:
-                return f"seek_to: {error}"
+                return str(error)
         return None
 
     def _apply(self, changes: list[Parameter]) -> None:

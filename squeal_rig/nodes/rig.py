@@ -43,7 +43,7 @@ _MOST_AT_ONCE = 4
 # Time without a block of a driver [s] that is worth a warning, and that is an error.
 _QUIET, _SILENT = 0.2, 1.0
 _WATCHDOG = (sys.executable, str(Path(__file__).with_name("start.py")), "watchdog")
-_WAITING = "waiting for the supervisor's heartbeat and the process beside"
+_WAITING = "waiting for the supervisor's heartbeat and for the watchdog"
 _SIM_TIME = "use_sim_time"
 _OWN_TIME = "the rig makes the time, and its stamps are the system's"
 
@@ -369,7 +369,8 @@ class RigNode(LifecycleNode):
         """Take the force channels' tare."""
         offsets = ", ".join(f"{channel} {value:.6g}" for channel, value in self._sampled().take_tare().items())
         self._outputs.describe(self._description())
-        return f"subtracted from now on, in N and N m: {offsets}; Eq. (2.1) needs forces tared on the unloaded rig"
+        needs = "Eq. (2.1) needs forces tared on the unloaded rig"
+        return f"tare taken, subtracted from now on, in N and N m: {offsets}; {needs}"
 
     def pause(self, pause: bool) -> str:
         """Stop sampling for a while, or go on."""

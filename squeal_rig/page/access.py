@@ -104,14 +104,14 @@ class Access:
         """Why a request of that host and origin is refused; empty where it is not."""
         name = _hostname(f"//{host}")
         if name not in self._hosts and not (self._all_addresses and _ip_address(name)):
-            return f"host {host!r} is not one of this page"
+            return f"host {host!r} is not admitted: name it in the parameter hosts, where it is this server's"
         if origin is not None and origin not in self._origins:
             try:
                 parts = urlsplit(origin)
             except ValueError:
                 return f"origin {origin!r} cannot be read"
             if parts.scheme not in ("http", "https") or parts.netloc.lower() != host.lower():
-                return f"origin {origin!r} is not this page"
+                return f"origin {origin!r} is not admitted"
         return ""
 
     def admits(self, authorization: str, cookie: str) -> bool:

@@ -36,7 +36,7 @@ class Gate(ServerThread):
 
     def __init__(self, access: Access, behind: tuple[str, int], log: Callable[[str], None]) -> None:
         self._access, self._behind, self._log = access, behind, log
-        super().__init__("the gate")
+        super().__init__("the Foxglove server")
         self._told = 0.0
         self._unjudged: dict[asyncio.StreamWriter, None] = {}  # the oldest first
         self.connections = self.refused = 0
@@ -84,7 +84,7 @@ class Gate(ServerThread):
     def _close_oldest(self) -> None:
         oldest = next(iter(self._unjudged))
         del self._unjudged[oldest]
-        self._count_refusal(oldest, "it sent no head while many others came")
+        self._count_refusal(oldest, "it sent no request header while many others came")
         oldest.transport.abort()
 
     async def _judge(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> bytes | None:
@@ -92,14 +92,14 @@ class Gate(ServerThread):
         try:
             head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), _HEAD_TIMEOUT)
         except (asyncio.LimitOverrunError, asyncio.TimeoutError):
-            await self._refuse(writer, "400 Bad Request", "a head that is too long or too slow")
+            await self._refuse(writer, "400 Bad Request", "a request header that is too long or came too slowly")
             return None
         line, *lines = head.decode("latin-1").split("\r\n")[:-2]
         words = line.split(" ")
         fields = [field.partition(":") for field in lines]
         headers: dict[str, str] = {name.lower(): value.strip() for name, _, value in fields}
         if len(words) != 3 or words[0] != "GET" or len(headers) != len(lines) or "\n" in line + "".join(lines):
-            await self._refuse(writer, "400 Bad Request", "a head that is no request for a socket")
+            await self._refuse(writer, "400 Bad Request", "a request that does not open a WebSocket")
             return None
         refusal = self._access.refusal(headers.get("host", ""), headers.get("origin"))
         if refusal:

@@ -21,7 +21,7 @@ class PageSettings(Declared):
     hosts: tuple[str, ...] = quantity(
         (), "names, besides address, under which browsers may reach the page", read_only=True
     )
-    control: bool = quantity(False, "take commands; without, only the emergency stop is", read_only=True)
+    control: bool = quantity(False, "take commands; where false, only the emergency stop", read_only=True)
     frame_rate: float = quantity(
         15.0, "most pictures sent to a browser a second", unit="Hz", lower=1.0, upper=60.0, read_only=True
     )
@@ -42,7 +42,11 @@ class FoxgloveSettings(Declared):
         (), "names, besides address, under which the server may be reached", read_only=True
     )
     origins: tuple[str, ...] = quantity(
-        ("https://app.foxglove.dev",), "pages whose scripts may connect; what says no origin is no page", read_only=True
+        ("https://app.foxglove.dev",),
+        "pages whose scripts may connect; who names no origin is no page, and may",
+        read_only=True,
     )
-    control: bool = quantity(False, "take parameters and services; without, only the emergency stop is", read_only=True)
+    control: bool = quantity(
+        False, "take parameters and services; where false, only the emergency stop", read_only=True
+    )
     topics: tuple[str, ...] = quantity(("*",), "topics to offer, patterns with * and ?", read_only=True)

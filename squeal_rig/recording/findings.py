@@ -88,7 +88,7 @@ class Recovery:
     @property
     def complete(self) -> bool:
         """Whether nothing is known to be lost."""
-        left_out = self.refused or self.files_within or self.missing_files or self.unended
+        left_out = self.refused or self.lost_records or self.files_within or self.missing_files or self.unended
         return self.closed and not (self.lost or self.damaged_chunks or self.unread_bytes or left_out)
 
     def sentences(self) -> list[str]:

@@ -31,11 +31,10 @@ def cut(
     Raises RecordingError where nothing is left or the bags cannot be read or written.
     """
     bag = Bag(source)
-    if not 0.0 <= start <= bag.duration or (end is not None and not end > start):
-        raise RecordingError(
-            f"The cut from {start:g} s to {'the end' if end is None else f'{end:g} s'} is not within the bag,"
-            f" which is {bag.duration:.3f} s long."
-        )
+    if end is not None and not end > start:
+        raise RecordingError(f"end = {end:g} s must be above start = {start:g} s.")
+    if not 0.0 <= start <= bag.duration:
+        raise RecordingError(f"start = {start:g} s is not within the bag, which is {bag.duration:.3f} s long.")
     chosen = list(bag.topics) if not topics else matching_topics(bag.topics, topics)
     if not chosen:
         raise RecordingError(f"No topic of {bag.path} matches {', '.join(topics)}.")
@@ -54,7 +53,8 @@ def cut(
             writer.write(handles[message.topic], message.data, message.log_time, message.publish_time)
         _copy_records(writer, bag)
         if writer.message_count == 0:
-            raise RecordingError(f"{bag.path} has no message between {start:g} s and {end} s.")
+            until = "the end" if end is None else f"{end:g} s"
+            raise RecordingError(f"{bag.path} has no message from {start:g} s to {until}.")
         writer.close(f"cut from a bag that ended: {ending}" if ending else "cut from a bag")
     return writer.message_count
 
@@ -66,7 +66,7 @@ def merge(sources: Sequence[str | Path], directory: str | Path) -> int:
     """
     bags = [Bag(source) for source in sources]
     if len(bags) < 2:
-        raise RecordingError(f"{len(bags)} bag was given; two or more can be merged.")
+        raise RecordingError(f"Two bags or more can be merged, into a new folder named last; bags given: {len(bags)}.")
     facts: dict[str, str] = {"merged_from": ", ".join(bag.path.name for bag in bags)}
     for number, bag in enumerate(bags):
         facts |= {f"{number}.{key}": value for key, value in bag.custom_data.items()}

@@ -184,7 +184,10 @@ class RecordingSession:
     def split(self) -> str:
         """Go on in a new file."""
         if self._writer is None or self.snapshots:
-            raise RecordingError("there is no file to split: " + ("snapshots" if self.snapshots else self.state))
+            raise RecordingError(
+                "there is no file to split: "
+                + ("in snapshot mode each snapshot is one" if self.snapshots else self.state)
+            )
         self._writer.split()
         return f"{self.directory} goes on in a new file"
 

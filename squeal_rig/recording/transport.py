@@ -37,7 +37,7 @@ class Transport:
         self._bag = bag
         self._topics = tuple(topics)
         self._latched = tuple(name for name in topics if is_latched(bag.topics[name].qos))
-        self._start = self.log_time(start)
+        self._start = self.log_time("start_offset", start)
         self._clock = ReplayClock(self._start, rate, max_bytes_per_second, time.monotonic())
         self._changed = threading.Condition()
         self._stopping = False
@@ -48,10 +48,10 @@ class Transport:
         self.published = 0
         self.worst_lateness = 0.0
 
-    def log_time(self, offset: float) -> int:
+    def log_time(self, name: str, offset: float) -> int:
         """Log time [ns] of an offset [s] after the bag's first message; RecordingError behind the end."""
         if offset > self._bag.duration:
-            raise RecordingError(f"{offset:g} s lies behind the bag's end, {self._bag.duration:.3f} s.")
+            raise RecordingError(f"{name} = {offset:g} s is out of bounds: the bag ends at {self._bag.duration:.3f} s.")
         return self._bag.start_time + round(offset * 1e9)
 
     # --- controls
@@ -93,7 +93,7 @@ class Transport:
     def seek(self, offset: float) -> None:
         """Go on from another place [s after the bag's first message], paused or not."""
         with self._changed:
-            self._target = self.log_time(offset)
+            self._target = self.log_time("seek_to", offset)
             self._changed.notify()
 
     def set_rate(self, rate: float) -> None:

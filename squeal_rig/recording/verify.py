@@ -26,7 +26,7 @@ _OWN_COUNTS = {
     "lost_messages": "were lost on the way to the recorder",
     "refused_messages": "could not be recorded",
     "messages_lost_at_end": "were lost at the end, when the disk was full",
-    "recovered_lost_messages": "were lost when it was recovered",
+    "recovered_lost_messages": "were missing already when it was recovered",
 }
 _OUT_OF_ORDER = 10**9  # [ns]
 

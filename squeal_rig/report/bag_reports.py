@@ -23,5 +23,5 @@ def estimate_text(source: Path | str, directory: Path | str) -> str:
     if report.rejected:
         lines.append(f"{report.rejected} blocks or values were refused")
     if report.unexplained:
-        lines.append(f"{report.unexplained} summaries of stability name causes that the log does not hold")
+        lines.append(f"{report.unexplained} summaries of stability name causes that the bag does not hold")
     return "\n".join(lines)

@@ -221,7 +221,7 @@ class SpeedRule:
                 self._off_for += duration
                 if self._off_for <= s.speed_time:
                     return []
-                told = f"the belt runs at {speed:.4g} m/s, {off:.3g} m/s beside its set point of {goal:g} m/s"
+                told = f"the belt runs at {speed:.4g} m/s, {off:.3g} m/s off its set point of {goal:g} m/s"
                 return [Finding("speed", level, f"{told}, the limit is {limit:g} m/s")]
         self._off_for = 0.0
         return []

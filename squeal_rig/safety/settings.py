@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from squeal_rig.configuration.declared import Declared, quantity
+from squeal_rig.configuration.declared import Declared, declarations, quantity
 from squeal_rig.errors import ParameterError
 
 # Quantities with three limits, each named <quantity>_warn, _ramp_down, _stop.
 LIMITED = ("force", "displacement", "torque", "speed_deviation")
+_MORE_PAIRS = (
+    ("squeal_warn", "squeal_ramp_down"),
+    ("stale_warn", "stale_stop"),
+    ("parameter_rate", "parameter_rate_ramp_down"),
+)
 
 
 @dataclass(frozen=True)
@@ -19,31 +24,47 @@ class SupervisorSettings(Declared):
         1.0e4, "force in an arm or a clip, or preload, that is warned of", unit="N", lower=1e-3, upper=1e9
     )
     force_ramp_down: float = quantity(
-        1.5e4, "the same, at which the rig is ramped down", unit="N", lower=1e-3, upper=1e9
+        1.5e4, "force in an arm or a clip, or preload, at which the rig is ramped down", unit="N", lower=1e-3, upper=1e9
     )
-    force_stop: float = quantity(2.0e4, "the same, at which it is stopped at once", unit="N", lower=1e-3, upper=1e9)
+    force_stop: float = quantity(
+        2.0e4,
+        "force in an arm or a clip, or preload, at which the rig is stopped at once",
+        unit="N",
+        lower=1e-3,
+        upper=1e9,
+    )
     displacement_warn: float = quantity(
         1.0e-4, "displacement of the pad that is warned of", unit="m", lower=1e-9, upper=1.0
     )
     displacement_ramp_down: float = quantity(
-        2.0e-4, "the same, at which the rig is ramped down", unit="m", lower=1e-9, upper=1.0
+        2.0e-4, "displacement of the pad at which the rig is ramped down", unit="m", lower=1e-9, upper=1.0
     )
     displacement_stop: float = quantity(
-        4.0e-4, "the same, at which it is stopped at once", unit="m", lower=1e-9, upper=1.0
+        4.0e-4, "displacement of the pad at which the rig is stopped at once", unit="m", lower=1e-9, upper=1.0
     )
     torque_warn: float = quantity(500.0, "motor torque that is warned of", unit="N m", lower=1e-3, upper=1e6)
     torque_ramp_down: float = quantity(
-        750.0, "the same, at which the rig is ramped down", unit="N m", lower=1e-3, upper=1e6
+        750.0, "motor torque at which the rig is ramped down", unit="N m", lower=1e-3, upper=1e6
     )
-    torque_stop: float = quantity(1000.0, "the same, at which it is stopped at once", unit="N m", lower=1e-3, upper=1e6)
+    torque_stop: float = quantity(
+        1000.0, "motor torque at which the rig is stopped at once", unit="N m", lower=1e-3, upper=1e6
+    )
     speed_deviation_warn: float = quantity(
-        0.1, "belt speed beside its set point that is warned of", unit="m/s", lower=1e-3, upper=100.0
+        0.1, "difference of the belt speed from its set point that is warned of", unit="m/s", lower=1e-3, upper=100.0
     )
     speed_deviation_ramp_down: float = quantity(
-        0.3, "the same, at which the rig is ramped down", unit="m/s", lower=1e-3, upper=100.0
+        0.3,
+        "difference of the belt speed from its set point at which the rig is ramped down",
+        unit="m/s",
+        lower=1e-3,
+        upper=100.0,
     )
     speed_deviation_stop: float = quantity(
-        1.0, "the same, at which it is stopped at once", unit="m/s", lower=1e-3, upper=100.0
+        1.0,
+        "difference of the belt speed from its set point at which the rig is stopped at once",
+        unit="m/s",
+        lower=1e-3,
+        upper=100.0,
     )
     speed_time: float = quantity(
         0.1, "time that a deviation of the speed lasts before it counts", unit="s", lower=0.0, upper=60.0
@@ -65,7 +86,7 @@ class SupervisorSettings(Declared):
         600.0, "time squeal of any level lasts before the rig is ramped down", unit="s", lower=0.1, upper=1e6
     )
     spike_samples: int = quantity(
-        3, "samples of a block beyond a limit that are taken for a spike: warned of, no more", lower=0, upper=10000
+        3, "most samples of a block beyond a limit that are a spike, which is only warned of", lower=0, upper=10000
     )
     saturation_time: float = quantity(
         0.1, "time a channel is at its full scale before the rig is ramped down", unit="s", lower=0.0, upper=60.0
@@ -81,13 +102,13 @@ class SupervisorSettings(Declared):
         upper=600.0,
     )
     lost_share: float = quantity(
-        0.1, "share of the samples of the last second that is lost when the rig is ramped down", lower=1e-6, upper=1.0
+        0.1, "share of the last second's samples that has to be lost for a ramp down", lower=1e-6, upper=1.0
     )
     disorder: int = quantity(
-        3, "blocks within ten seconds that come out of order when the rig is ramped down", lower=1, upper=1000
+        3, "blocks out of order within ten seconds at which the rig is ramped down", lower=1, upper=1000
     )
     time_jump: float = quantity(
-        0.05, "step of the stamps ahead of the samples' number that is warned of", unit="s", lower=1e-4, upper=60.0
+        0.05, "jump of the stamps ahead of the number of samples that is warned of", unit="s", lower=1e-4, upper=60.0
     )
     stale_warn: float = quantity(
         0.2, "time without samples of a running rig that is warned of", unit="s", lower=0.02, upper=60.0
@@ -99,7 +120,11 @@ class SupervisorSettings(Declared):
         50.0, "changes of the rig's parameters in a second that are warned of", unit="1/s", lower=1.0, upper=1e6
     )
     parameter_rate_ramp_down: float = quantity(
-        150.0, "the same, at which the rig is ramped down", unit="1/s", lower=1.0, upper=1e6
+        150.0,
+        "changes of the rig's parameters in a second at which the rig is ramped down",
+        unit="1/s",
+        lower=1.0,
+        upper=1e6,
     )
     nodes: tuple[str, ...] = quantity(
         ("rig", "friction_estimator", "stability", "squeal_detector"),
@@ -121,16 +146,12 @@ class SupervisorSettings(Declared):
     def __post_init__(self) -> None:
         super().__post_init__()
         pairs = [(f"{q}_{low}", f"{q}_{high}") for q in LIMITED for low, high in _ORDER]
-        for low, high in (*pairs, ("squeal_warn", "squeal_ramp_down"), ("stale_warn", "stale_stop")):
+        for low, high in (*pairs, *_MORE_PAIRS):
             if not getattr(self, low) <= getattr(self, high):
+                unit = declarations(SupervisorSettings)[low].unit
                 raise ParameterError(
-                    f"{low} = {getattr(self, low):g} must not be above {high} = {getattr(self, high):g}"
+                    f"{low} = {getattr(self, low):g} {unit} must not be above {high} = {getattr(self, high):g} {unit}"
                 )
-        if not self.parameter_rate <= self.parameter_rate_ramp_down:
-            raise ParameterError(
-                f"parameter_rate = {self.parameter_rate:g} must not be above"
-                f" parameter_rate_ramp_down = {self.parameter_rate_ramp_down:g}"
-            )
 
 
 _ORDER = (("warn", "ramp_down"), ("ramp_down", "stop"))

@@ -33,7 +33,7 @@ _MEETING = 5.0
 # What counts as no preload [N] and a belt at rest [m/s] after a ramp.
 _REST = {"preload": 1.0, "belt_speed": 0.01}
 _HEALTH_OK, _HEALTH_ERROR = 0, 2
-_NOT_TOLD = "the rig has not told yet that it is stopped"
+_NOT_TOLD = "the rig has not reported yet that it is stopped"
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ class Supervisor:
         self._findings.pop(f"node {node}", None)
         # The rig's ERROR of being stopped is our own word.
         if level == _HEALTH_ERROR and not (node == RIG and self._safe.stopped):
-            self._find(Finding(f"health {node}", Level.WARN, f"{node} tells an error: {message}"), time + 2.0)
+            self._find(Finding(f"health {node}", Level.WARN, f"{node} reports an error: {message}"), time + 2.0)
 
     def _take_rig_state(self, state: str, message: str, time: float) -> None:
         if state != self._rig_state:
@@ -207,7 +207,7 @@ class Supervisor:
             silent = time - node.heard
             if silent > s.node_timeout:
                 level = self._level_of_silence(name)
-                told = f"{name} has not told its health for {silent:.1f} s, the limit is {s.node_timeout:g} s"
+                told = f"{name} has not reported its health for {silent:.1f} s, the limit is {s.node_timeout:g} s"
                 self._find(Finding(f"node {name}", level, told), None)
         if self.latched == Level.RAMP_DOWN and self._moves() and time - self._ramp_since > s.ramp_time:
             told = f"the rig is not at rest {s.ramp_time:g} s after the ramp down began: {self._what_moves()}"
@@ -343,7 +343,7 @@ class Supervisor:
         if self._last_block is None and self._rig_state not in (PAUSED, INACTIVE):
             found.append("no samples of it have come")
         silent = [name for name in self.settings.nodes if name not in self._nodes and name == RIG]
-        return [*found, *(f"{name} has not told its health" for name in silent)]
+        return [*found, *(f"{name} has not reported its health" for name in silent)]
 
 
 def _rest_of(channel: str, rig: RigDescription, samples: int) -> float:

@@ -168,7 +168,7 @@ class LiveBench:
         allowed, state = set_point_tolerance(graph.description, 1), graph.state
         graph.wait_for(
             lambda: _in_force(self._set, allowed, state.preload, state.belt_speed),
-            "the operating point in force",
+            "the operating point to come into force",
             _PATIENCE,
         )
         answer = _FROM.search(graph.call("reset"))
@@ -328,7 +328,9 @@ def run_live(store: Store, console: Console, watch: SignalWatch) -> Progress:
             now = progress[0]
             progress[0] = Progress(now.done + 1, now.total, now.measured + 1, graph.sampled_time() - begin)
             if failures >= campaign.stop.failures:
-                raise ExperimentError(f"{failures} points failed, and the plan's rule is {campaign.stop.failures}")
+                raise ExperimentError(
+                    f"{failures} points failed, which ends the plan: stop.failures = {campaign.stop.failures}"
+                )
             if progress[0].spent > campaign.stop.duration:
                 raise ExperimentError(f"the plan's time of {campaign.stop.duration:g} s is over; resume goes on")
 
@@ -401,7 +403,7 @@ def _refuse_constants(campaign: Campaign) -> None:
 def _refuse_incapable(campaign: Campaign, settings: RigSettings) -> None:
     """Refuse what the rig's driver cannot do; springs may be changed by hand, those of both arms at once."""
     if any(phase.kind == "hit" for phase in campaign.protocol) and not _capabilities(settings).can_hit:
-        raise ExperimentError(f"hit: this rig's driver, {settings.driver!r}, cannot hit the pad")
+        raise ExperimentError(f"hit: this rig's driver, {settings.driver!r}, cannot give the pad an impact")
     ramped = [phase.parameter for phase in campaign.protocol if phase.kind == "ramp"]
     for name in (*ramped, *(f.name for f in campaign.design.factors)):
         if _moves(settings, name) or (name == PAD_STIFFNESS and name in campaign.design.by_hand and name not in ramped):

@@ -38,6 +38,11 @@ from squeal_rig.safety.supervisor import ENDED, INACTIVE, STATE_KEY
 
 # Discovery of a service took up to 2.3 s where it was measured.
 _SERVICE_TIMEOUT = 10.0
+_TRANSITIONS = {
+    Transition.TRANSITION_CONFIGURE: "configured",
+    Transition.TRANSITION_ACTIVATE: "activated",
+    Transition.TRANSITION_DEACTIVATE: "deactivated",
+}
 _ASK_AGAIN = 1.0
 _STALL_TIMEOUT = 10.0
 # Nodes on other machines are mostly found within this time [s].
@@ -163,7 +168,7 @@ class LiveGraph:
         self._watched()
         self.on_spin()
         if self.ends_with_trip and self.state.trip:
-            raise ExperimentError(f"the supervisor has taken the rig out of the plan: {self.state.trip}")
+            raise ExperimentError(f"the supervisor has tripped, which ends the plan: {self.state.trip}")
 
     def listeners(self, topic: str) -> int:
         """Subscribers to a topic that the graph knows of."""
@@ -189,7 +194,7 @@ class LiveGraph:
         """Take the rig through a lifecycle transition; `ExperimentError` when it fails."""
         request = ChangeState.Request(transition=Transition(id=number))
         if not self._answer(self._change_state, request, timeout).success:
-            raise ExperimentError("the rig could not be configured or activated: see its log")
+            raise ExperimentError(f"the rig could not be {_TRANSITIONS[number]}: see its log")
 
     def refuse_other_rig(self) -> None:
         """`ExperimentError` where a rig is on the graph already: two of one name would be commanded as one."""
@@ -202,7 +207,7 @@ class LiveGraph:
     def wait_for(self, condition: Callable[[], bool], what: str, timeout: float) -> None:
         """Spin until a condition holds; `ExperimentError` after `timeout` [s]."""
         if not self.comes(condition, timeout):
-            raise ExperimentError(f"{what} did not come within {timeout:g} s")
+            raise ExperimentError(f"waited {timeout:g} s in vain for {what}")
 
     def comes(self, condition: Callable[[], bool], timeout: float) -> bool:
         """Spin until a condition holds; whether it does within `timeout` [s]."""
@@ -261,7 +266,7 @@ class LiveGraph:
             if stands and self.state.rig_state != INACTIVE:
                 self.transition(Transition.TRANSITION_DEACTIVATE, _SERVICE_TIMEOUT)
                 raise ExperimentError(
-                    f"the rig was activated while the springs {name!r} are fitted: it is inactive again"
+                    f"the rig was activated while the springs {name!r} were being fitted: it is inactive again"
                 )
             return bool(self._node.get_parameter(FITTED).value == name)
 

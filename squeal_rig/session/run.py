@@ -190,9 +190,9 @@ def _start(options: SessionOptions, nodes: list[NodeProcess], logs: Path, graph:
     if options.bag is not None:
         nodes.append(NodeProcess("recorder", logs, [*files, "-p", f"directory:={yaml_scalar(str(options.bag))}"]))
     wanted = _wanted_listeners(options, len(nodes))
-    graph.wait_for(lambda: graph.is_heard(wanted), "all nodes listening", _START_TIMEOUT)
+    graph.wait_for(lambda: graph.is_heard(wanted), "all nodes to listen", _START_TIMEOUT)
     recorded = _sampled(options, graph)
-    graph.wait_for(lambda: graph.is_recorded(recorded), "the recorder's knowledge of the samples", _START_TIMEOUT)
+    graph.wait_for(lambda: graph.is_recorded(recorded), "the recorder to know the topics of samples", _START_TIMEOUT)
     graph.transition(Transition.TRANSITION_ACTIVATE, _START_TIMEOUT)
     graph.wait_for(lambda: graph.sampled_time() > 0.0, "the first block of samples", _START_TIMEOUT)
     return recorded

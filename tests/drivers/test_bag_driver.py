@@ -141,7 +141,7 @@ def test_a_bag_without_truth_is_a_rig_without(blocks, tmp_path):
 def test_nothing_can_be_moved_or_hit(blocks, tmp_path):
     driver, can, rig = opened(tmp_path, write(tmp_path / "bag", blocks[:3]))
     assert "cannot be moved by this rig's driver" in str(change_refusal("preload", can))
-    with pytest.raises(DriverError, match="cannot be hit"):
+    with pytest.raises(DriverError, match="cannot be given an impact"):
         rig.impact()
     rig.make_safe()
     driver.close()
@@ -151,11 +151,11 @@ def test_nothing_can_be_moved_or_hit(blocks, tmp_path):
 
 def test_constants_and_rate_have_to_be_those_of_the_bag(blocks, tmp_path):
     bag = write(tmp_path / "bag", blocks[:3])
-    with pytest.raises(DriverError, match=r"^mass = 5.0, and the rig of .* was one of 11.499$"):
+    with pytest.raises(DriverError, match=r"^mass = 5.0, but the rig of .* was one of 11.499$"):
         opened(tmp_path, bag, PARAMETERS.replace(mass=5.0))
     config = tmp_path / "driver.yaml"
     settings = RigSettings(driver="bag", driver_config=str(config))
-    with pytest.raises(DriverError, match=r"^sample_rate = 51200 Hz, and .* was recorded at 12800 Hz$"):
+    with pytest.raises(DriverError, match=r"^sample_rate = 51200 Hz, but .* was recorded at 12800 Hz$"):
         BagRig().open(PARAMETERS, settings)
     opened(tmp_path, bag, PARAMETERS.replace(preload=300.0))  # an operating point is not the bag's
 

@@ -23,21 +23,24 @@ WRONG = {
     "no source": (("{signal: arm_left, unit: N}", "{unit: N}"), "channels.arm_left: exactly one of"),
     "wrong unit": (
         ("{signal: arm_left, unit: N}", "{signal: arm_left, unit: kN}"),
-        "unit = 'kN', and the channel is in N",
+        "unit = 'kN', but the channel is in N",
     ),
     "sign": (("{signal: arm_left, unit: N}", "{signal: arm_left, unit: N, sign: 0}"), "sign = 0 must be 1 or -1"),
     "sign bound": (("{signal: arm_left, unit: N}", "{signal: arm_left, unit: N, sign: 7}"), "must be -1 to 1"),
     "text for a number": (("scale: 1.0e-6}            #", "scale: big}   #"), "scale = 'big' is not a number"),
     "seq": (("channels:\n", "channels:\n  seq: {signal: counter}\n"), "channels.seq: the rig itself fills it"),
     "no such register": (("register: inverter.torque", "register: inverter.turning"), "no register 'inverter.turning'"),
-    "set point of the pad": (("belt_speed: inverter.speed\n", "mu0: inverter.speed\n"), "set_points.mu0: it can be"),
+    "set point of the pad": (
+        ("belt_speed: inverter.speed\n", "mu0: inverter.speed\n"),
+        "set_points.mu0: there is no such set point",
+    ),
     "set point to an input": (
         ("preload: preload_unit.command\n", "preload: preload_unit.force\n"),
         "preload_unit.force is an input register",
     ),
     "set point in another unit": (
         ("word_order: little, unit: N}\n      force", "word_order: little, unit: kN}\n      force"),
-        "preload_unit.command is in 'kN', and N is needed",
+        "preload_unit.command is in 'kN', but N is needed",
     ),
     "function": (("type: uint16, write_function: 6}", "type: uint16, write_function: 5}"), "write_function = 5"),
     "function 7": (("type: uint16, write_function: 6}", "type: uint16, write_function: 7}"), "must be 6 or 16"),

@@ -212,7 +212,7 @@ def test_a_pulled_cable_is_told_with_its_age_and_a_reset_mends_it(tmp_path):
             until(lambda: rig.read(PARAMETERS) and False, "the fault")
         sentence = str(caught.value)
         # Acquisition or Modbus, whichever is noticed first; nobody is there to accept the safe command.
-        assert "stale: no samples" in sentence or "no answer for " in sentence
+        assert "stale: no samples" in sentence or "without success for " in sentence
         assert "the safe command was not accepted" in sentence
         with pytest.raises(DriverError):
             rig.read(PARAMETERS)  # it stays
@@ -326,7 +326,7 @@ def test_a_unit_that_does_not_answer_is_told_by_name_and_the_other_is_stopped(li
             preload.append(float(reading.daq["preload"][-1]))
 
     with pytest.raises(
-        DriverError, match=r"^inverter.*no answer for .* s; the safe command was not accepted: inverter"
+        DriverError, match=r"^inverter.*without success for .* s; the safe command was not accepted: inverter"
     ):
         until(fault, "the fault")
     assert preload

@@ -287,7 +287,7 @@ CASES = (
         _send("squeal_detector", signal.SIGKILL),
         RAMP,
         3.5,
-        "squeal_detector has not told its health",
+        "squeal_detector has not reported its health",
         dies=("squeal_detector",),
     ),
     Case(
@@ -295,7 +295,7 @@ CASES = (
         _send("squeal_detector", signal.SIGSTOP),
         RAMP,
         4.5,
-        "squeal_detector has not told its health",
+        "squeal_detector has not reported its health",
         after=_go_on("squeal_detector"),
     ),
     Case(

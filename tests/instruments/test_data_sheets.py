@@ -39,7 +39,7 @@ def test_ideal_sheets_promise_nothing_but_the_truth():
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("arm_forces: {range: 1.0}\n", r"unknown parameter 'arm_forces': did you mean 'arm_force'\?"),
+        ("arm_forces: {range: 1.0}\n", r"unknown block 'arm_forces': it must be one of arm_force, "),
         ("arm_force: {rang: 1.0}\n", r"sheet.yaml, arm_force: unknown parameter 'rang': did you mean 'range'\?"),
         ("arm_force: {range: -1.0}\n", r"arm_force: range = -1 N is out of bounds: it must be 0 to 1e\+09 N"),
         ("displacement: {noise_density: .nan}\n", r"noise_density = nan m/sqrt\(Hz\) is not finite"),
@@ -53,7 +53,7 @@ def test_ideal_sheets_promise_nothing_but_the_truth():
         ("motor_torque: {delay: 3600.0}\n", r"delay = 3600 s is out of bounds: it must be 0 to 1 s"),
         ("preload: {hysteresis: 0.01}\n", r"hysteresis is a share of the range, which is 0"),
         ("motor_torque: {offset: 0.01}\n", r"offset is a share of the range, which is 0"),
-        ("daq: {bits: 24}\n", r"bits = 24 are of an input range, and the sensor of x has none"),
+        ("daq: {bits: 24}\n", r"bits = 24 need an input range, but the sensor of x has none"),
         ("daq: {bits: 1}\n", r"bits = 1 holds no sign"),
         ("daq: {anti_alias_cutoff: 0.5}\n", r"anti_alias_cutoff = 0.5 share of the sample rate is out of bounds"),
         ("belt_drive: {run_out: 0.001}\n", r"run_out is of a drum that turns: it needs an inertia above 0 kg m\^2"),
@@ -68,7 +68,7 @@ def test_ideal_sheets_promise_nothing_but_the_truth():
         ("hydraulics: 3\n", r"hydraulics: expected a mapping of names to values, got 3"),
         ("- 1\n", r"data sheets are a mapping of arm_force, .* got \[1\]"),
         ("arm_force: {range: [1, 2]}\n", r"range = \[1, 2\] is not a number"),
-        ("1: {range: 2}\n", r"unknown parameter '1'"),
+        ("1: {range: 2}\n", r"unknown block '1'"),
         ("arm_force: {1: 2}\n", r"unknown parameter '1'"),
         ("arm_force: {range: &a 1}\nclip_force: {range: *a}\n", r"aliases"),
         ("arm_force: {", r"not valid YAML"),

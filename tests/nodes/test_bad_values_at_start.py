@@ -32,7 +32,7 @@ ON_THE_COMMAND_LINE = {
     "estimator_window": ("friction_estimator", parameters(window=0.0), "window = 0 s is out of bounds"),
     "empty_band": ("squeal_detector", parameters(band_low=6000.0), "6000 Hz must be below band_high = 5000 Hz"),
     "topics_not_a_list": ("recorder", parameters(topics="daq/samples"), "'daq/samples' is not a list of texts"),
-    "no_bag_given": ("player", [], "bag is empty"),
+    "no_bag_given": ("player", [], "bag = '' names no bag"),
     "bag_not_there": ("player", parameters(bag="/none/such"), "There is no bag at /none/such"),
     "parameter_file_not_there": ("simulator", ["--params-file", "/none/such.yaml"], "/none/such.yaml"),
     "unknown_argument": ("simulator", ["--none-such"], "unknown argument after --ros-args: ['--none-such']"),

@@ -139,7 +139,7 @@ def test_on_hardware_what_it_cannot_do_is_refused_and_a_pulled_cable_is_mended_b
         return state and state[0] == ERROR and "call ~/reset to start again" in state[1] and state[1]
 
     sentence = observer.wait_for(fault, "the fault")
-    assert "stale: no samples" in sentence or "no answer for" in sentence
+    assert "stale: no samples" in sentence or "without success for" in sentence
     assert not observer.trigger("reset")[0]
     twin.start()
     assert observer.trigger("reset") == (True, "the driver has begun anew; tare forgotten")

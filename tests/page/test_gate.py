@@ -151,6 +151,6 @@ def test_a_token_with_a_plus_is_taken_from_the_address_as_it_is():
 @pytest.mark.parametrize("address", ["a..b", "192.0.2.1"])
 def test_a_gate_that_cannot_listen_says_so_and_serves_nothing(address):
     gate = Gate(Access(address, TOKEN), ("127.0.0.1", 1), print)
-    with pytest.raises(ConfigurationError, match="the gate "):
+    with pytest.raises(ConfigurationError, match="the Foxglove server "):
         gate.start(address, 0)
     assert gate.failure

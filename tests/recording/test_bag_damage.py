@@ -89,6 +89,13 @@ def test_a_whole_file_comes_back_whole(original, tmp_path):
     assert copy.topics["/rig/description"].qos[0].durability == "transient_local"
 
 
+def test_a_damaged_metadata_record_is_missing(original, tmp_path):
+    report, got = recovered(original.bytes.replace(b"preload: 50.0", b"preload: 60.0"), tmp_path)
+    assert got == original.sent
+    assert not report.complete
+    assert report.sentences()[-1] == "1 damaged metadata records were left out"
+
+
 def test_truncation_keeps_every_whole_chunk_and_nothing_else(original, tmp_path):
     for offset in offsets(20, 11, len(original.bytes)):
         check_truncation(original, offset, tmp_path)

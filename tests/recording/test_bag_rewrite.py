@@ -62,9 +62,9 @@ def test_a_cut_by_topic_leaves_the_others_out(bag, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        ({"start": 100.0}, "not within the bag"),
-        ({"start": 1.0, "end": 0.5}, "not within the bag"),
-        ({"end": float("nan")}, "not within the bag"),
+        ({"start": 100.0}, r"start = 100 s is not within the bag"),
+        ({"start": 1.0, "end": 0.5}, r"end = 0.5 s must be above start = 1 s"),
+        ({"end": float("nan")}, r"end = nan s must be above start = 0 s"),
         ({"topics": ["nothing"]}, "No topic"),
     ],
 )

@@ -290,8 +290,8 @@ def test_a_node_that_has_been_well_must_go_on_telling():
     assert bench.supervisor.watched == ["rig", "squeal_detector"]
     assert bench.run(149) == Level.OK
     assert bench.run(3) == Level.RAMP_DOWN
-    assert bench.supervisor.sentence.startswith("squeal_detector has not told its health for 1.5")
-    with pytest.raises(SafetyError, match="squeal_detector has not told"):
+    assert bench.supervisor.sentence.startswith("squeal_detector has not reported its health for 1.5")
+    with pytest.raises(SafetyError, match="squeal_detector has not reported"):
         bench.reset()
     bench.health("squeal_detector")
     assert bench.reset() == "ramp down released: mended"
@@ -301,7 +301,7 @@ def test_an_inactive_rig_may_be_silent_while_it_compiles_and_a_driven_one_may_no
     bench = Bench()
     bench.health("rig", message="inactive", state="inactive")
     assert bench.silent(60.0) == Level.WARN
-    assert bench.supervisor.sentence.startswith("rig has not told its health for ")
+    assert bench.supervisor.sentence.startswith("rig has not reported its health for ")
     bench.health("rig", state="running")
     assert bench.run(5) == Level.OK
     bench.health("rig", state="paused")
@@ -510,7 +510,7 @@ def test_a_long_reason_is_cut():
 
 
 def test_limits_out_of_order_are_refused():
-    with pytest.raises(ParameterError, match="force_warn = 20000 must not be above force_ramp_down = 15000"):
+    with pytest.raises(ParameterError, match="force_warn = 20000 N must not be above force_ramp_down = 15000 N"):
         SupervisorSettings(force_warn=2e4)
-    with pytest.raises(ParameterError, match="stale_warn = 2 must not be above stale_stop = 1"):
+    with pytest.raises(ParameterError, match="stale_warn = 2 s must not be above stale_stop = 1 s"):
         SupervisorSettings(stale_warn=2.0)

@@ -330,7 +330,7 @@ _SPRINGS = "by_hand: [pad_stiffness]\nfactors:\n  pad_stiffness: [3.0e+7, 6.0e+7
             {"factors:": _SPRINGS},
             "pad_stiffness cannot be moved by this rig's driver",
         ),
-        ("- reset\n- hit: {impulse: 0.1}\n- dwell: 0.5\n", {}, "cannot hit the pad"),
+        ("- reset\n- hit: {impulse: 0.1}\n- dwell: 0.5\n", {}, "cannot give the pad an impact"),
     ],
     ids=["speed", "springs_by_hand", "springs", "one_spring", "spring_ramp", "hit"],
 )
@@ -352,8 +352,8 @@ def test_what_hardware_cannot_do_is_refused_before_anything_starts(monkeypatch, 
     ("error", "ends"),
     [
         (NoHitError("there is no smallest hit here: the zone of the set point is 'quiet'"), False),
-        (ExperimentError("the smallest hit of the set point did not come within 60 s"), True),
-        (ExperimentError("the supervisor has taken the rig out of the plan: ramp down"), True),
+        (ExperimentError("waited 60 s in vain for the smallest hit of the set point"), True),
+        (ExperimentError("the supervisor has tripped, which ends the plan: ramp down"), True),
     ],
     ids=["none", "late", "trip"],
 )

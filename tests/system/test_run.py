@@ -123,7 +123,7 @@ def test_the_bag_keeps_the_plan_and_how_each_step_ended(planned):
     assert ends[1]["set"] == "preload = 300.0, mu0 = 0.26"
     waits = [float(facts["end [s]"]) - float(facts["begin [s]"]) for facts in ends]
     assert waits == pytest.approx([0.6, 1.2, 0.0, 0.2, 0.4])
-    assert ends[3]["answer"].startswith("subtracted from now on")
+    assert ends[3]["answer"].startswith("tare taken, subtracted from now on")
     assert events[-1][2]["outcome"] == "done"
     # The numbers of samples tell where in the data a step lies: not before it was waited for.
     daq = _read(bag)["/daq/samples"]

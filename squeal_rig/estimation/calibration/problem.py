@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from squeal_rig.configuration.declared import declarations, unknown_name
+from squeal_rig.configuration.declared import Declaration, declarations, unknown_name
 from squeal_rig.configuration.files import load_yaml
 from squeal_rig.errors import ConfigurationError, ParameterError
 from squeal_rig.estimation.calibration.targets import (
@@ -161,30 +161,28 @@ def _read_named_targets(path: Path, named: object) -> Targets:
     return read_targets(named, f"{path}, targets", path.stem)
 
 
-def _declared_bounds(name: str) -> tuple[float, float]:
+def _declaration(name: str) -> Declaration:
     known = declarations(RigParameters)
     if name not in known:
         raise unknown_name(name, known)
     if known[name].kind is not float:
         raise ParameterError(f"{name} is a choice of words: it cannot be free")
-    return known[name].lower, known[name].upper
+    return known[name]
 
 
 def within_bounds(name: str, value: float) -> float:
     """The value, or the declared bound of a parameter that it lies beyond."""
-    lower, upper = _declared_bounds(name)
-    return min(max(value, lower), upper)
+    declared = _declaration(name)
+    return min(max(value, declared.lower), declared.upper)
 
 
 def _free(name: str, lower: float, upper: float) -> Free:
     """A free parameter; nan in place of a bound: that of its declaration."""
-    declared_lower, declared_upper = _declared_bounds(name)
-    low = declared_lower if math.isnan(lower) else lower
-    high = declared_upper if math.isnan(upper) else upper
-    if not declared_lower <= low < high <= declared_upper:
-        raise ParameterError(
-            f"{name}: bounds {low:g} to {high:g} must rise and lie within {declared_lower:g} to {declared_upper:g}"
-        )
+    declared = _declaration(name)
+    low = declared.lower if math.isnan(lower) else lower
+    high = declared.upper if math.isnan(upper) else upper
+    if not declared.lower <= low < high <= declared.upper:
+        raise ParameterError(f"{name}: bounds {low:g} to {high:g} must rise and lie within {declared.bounds}")
     return Free(name, low, high, low > 0.0 and high / low > 10.0)
 
 

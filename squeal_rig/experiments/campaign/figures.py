@@ -266,7 +266,7 @@ def spectrogram_figure(x: Values, rate: int, title: str) -> Picture:
 
     return picture(
         "worst_point",
-        f"{title}: spectrogram, and waterfall from its begin (below) to its end.",
+        f"{title}: spectrogram, and waterfall from its beginning (below) to its end.",
         draw,
         columns=2,
         height=4.2,

@@ -89,7 +89,8 @@ class _Measurement:
             for phase in self._campaign.protocol:
                 getattr(self, f"_{phase.kind}")(phase)
         except StoppedByLevel:
-            row["verdict"], row["note"] = STOPPED, "the level was above the plan's rule"
+            rule = f"stop.level = {self._campaign.stop.level:g} dB re 1 um"
+            row["verdict"], row["note"] = STOPPED, f"the level was above {rule}"
             if self._squealing:
                 row["frequency"] = max(self._squealing, key=lambda event: event.levels[-1]).frequencies[-1]
         except ModelError as error:
@@ -160,7 +161,9 @@ class _Measurement:
             smallest, direction = self._bench.smallest_hit()
             impulse = phase.share * smallest
         if not math.isfinite(impulse) or impulse <= 0.0:
-            self._point.row["note"] = "no hit: none starts squeal here, or it squeals by itself"
+            self._point.row["note"] = (
+                "no impact was given: its impulse is 0 N s, or no hit is known that starts squeal here"
+            )
             return
         self._point.row["hit"] = impulse
         self._bench.hit(impulse, direction)

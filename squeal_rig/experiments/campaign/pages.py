@@ -180,7 +180,9 @@ def _ramp_section(results: Results) -> Section:
                 borders = _borders(results, row, parameter, np.unique(which["value"].astype(float)))
             except (ModelError, ParameterError) as error:
                 borders = math.nan, math.nan
-                text.append(f"Point {which['point'][0]}, {parameter}: no borders are computed: {error}.")
+                text.append(
+                    f"Point {which['point'][0]}, {parameter}: no borders are computed: {str(error).rstrip('.')}."
+                )
             hold = [phase for phase in results.campaign.protocol if phase.kind == "ramp"][int(ramp) - 1].duration
             rows.append(_loop(which, borders, hold))
             if len(pictures) < _MOST_LOOPS:
@@ -242,7 +244,7 @@ def _worst_section(results: Results) -> Section:
     try:
         x, rate = signal_of(results, row)
     except RecordingError as error:
-        return Section("Worst point", [f"{title}: no signal to show: {error}."])
+        return Section("Worst point", [f"{title}: no signal to show: {str(error).rstrip('.')}."])
     return Section("Worst point", [f"{title}."], pictures=[spectrogram_figure(x, rate, "Loudest point")])
 
 

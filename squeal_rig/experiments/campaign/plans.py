@@ -214,6 +214,7 @@ class _Reader:
     def number(self, name: str, default: float, low: float, high: float, unit: str = "") -> float:
         value = self._content.get(name, default)
         bound = f"{low:g} to {high:g}{' ' + unit if unit else ''}"
+        self._need(name, default, low, high, bound)
         if isinstance(value, bool) or not isinstance(value, int | float):
             self.refuse(name, f"{value!r} is not a number: it must be {bound}")
         if not low <= value <= high:  # first: a whole number may be too long for a float
@@ -224,11 +225,17 @@ class _Reader:
 
     def integer(self, name: str, default: int, low: int, high: int) -> int:
         value = self._content.get(name, default)
+        self._need(name, default, low, high, f"{low} to {high}")
         if isinstance(value, bool) or not isinstance(value, int):
             self.refuse(name, f"{value!r} is not an integer: it must be {low} to {high}")
         if not low <= value <= high:
             self.refuse(name, f"{value!r} is out of bounds: it must be {low} to {high}")
         return int(value)
+
+    def _need(self, name: str, default: float, low: float, high: float, bound: str) -> None:
+        """Refuse a value that is not there where the default is none."""
+        if not self.has(name) and not low <= default <= high:
+            self.refuse(name, f"it is missing: it must be {bound}")
 
     def choice(self, name: str, default: str, options: Sequence[str]) -> str:
         value = self._content.get(name, default)

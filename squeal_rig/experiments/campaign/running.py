@@ -106,7 +106,9 @@ def run_direct(store: Store, where: Where, tell: Callable[[Progress], None]) -> 
                 progress = Progress(done, campaign.design.count, measured, time.monotonic() - begin)
                 tell(progress)
                 if failures >= campaign.stop.failures:
-                    raise ExperimentError(f"{failures} points failed, and the plan's rule is {campaign.stop.failures}")
+                    raise ExperimentError(
+                        f"{failures} points failed, which ends the plan: stop.failures = {campaign.stop.failures}"
+                    )
                 if progress.spent > campaign.stop.duration:
                     raise ExperimentError(f"the plan's time of {campaign.stop.duration:g} s is over; resume goes on")
     except BaseException as error:
@@ -247,7 +249,7 @@ def status(folder: Path) -> list[str]:
     runs = [e for e in entries if e["what"] in ("run started", "run ended")]
     sentences = [
         f"{campaign.title}: {done} of {campaign.design.count} points, {'live' if first.get('live') else 'direct'}",
-        f"begun {sum(e['what'] == 'run started' for e in runs)} times",
+        f"runs so far: {sum(e['what'] == 'run started' for e in runs)}",
     ]
     if runs and runs[-1]["what"] == "run started":
         sentences.append("it runs, or was killed: resume tells which")
