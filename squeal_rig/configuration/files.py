@@ -135,6 +135,16 @@ def dump_yaml(value: Any) -> str:
     return stream.getvalue()
 
 
+def _quoted(character: str) -> str:
+    """A character within double quotes; what YAML refuses, or takes for the end of a line, as its number."""
+    if character in '"\\':
+        return "\\" + character
+    if character.isprintable():
+        return character
+    code = ord(character)
+    return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
+
+
 def yaml_scalar(value: float | int | bool | str) -> str:
     """One value as YAML text that YAML 1.1, YAML 1.2 and rcl readers all take for the same value."""
     if isinstance(value, bool):
@@ -146,7 +156,7 @@ def yaml_scalar(value: float | int | bool | str) -> str:
         mantissa, e, exponent = text.partition("e")
         return f"{mantissa}.0e{exponent}" if e and "." not in mantissa else text
     if isinstance(value, str):
-        return '"' + value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n") + '"'
+        return '"' + "".join(map(_quoted, value)) + '"'
     return str(value)
 
 
