@@ -94,7 +94,7 @@ def test_bags_that_overlap_are_merged_in_the_order_of_time(tmp_path):
 
 
 def test_one_bag_alone_is_no_merge(bag, tmp_path):
-    with pytest.raises(RecordingError, match="two or more"):
+    with pytest.raises(RecordingError, match="bags given: 1"):
         merge([bag[0]], tmp_path / "out")
 
 

@@ -420,7 +420,7 @@ def test_a_stop_that_the_rig_has_not_told_of_cannot_be_released():
     # As where it was killed and started again: the stop that is on its way would reach the rig after the reset.
     bench = Bench()
     bench.supervisor.ask_stop("a test", bench.now)
-    with pytest.raises(SafetyError, match="not told yet that it is stopped"):
+    with pytest.raises(SafetyError, match="not reported yet that it is stopped"):
         bench.reset()
     bench.supervisor.take_safe(RigSafe(True, "a test", 7), bench.now)
     assert bench.reset().startswith("emergency stop released")
