@@ -225,6 +225,8 @@ def _measured(
     nodes["recorder"].end()
     blocks, lost = lost_samples(bag)
     received, usable, equal, streams, gaps = compared(heard, bag, rate)
+    if not usable:
+        raise SystemExit(f"{received} samples of sound were received, and none can be compared with the bag")
     table = "\n".join(f"| {name} | {100.0 * share:.0f}% |" for name, share in sorted(cores.items()))
     resident, script, load = (", ".join(f"{value:.1f}" for value in values) for values in (memory, heap, loads))
     return f"""{minutes:g} min at {rate / 1e3:g} kHz, squealing, all nodes and the recorder; three clients:

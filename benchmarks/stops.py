@@ -154,7 +154,7 @@ def section(stops: int = 200, killed: int = 10) -> str:
     after = os.getloadavg()[0]
     return f"""From the request (source time stamp of a message on `emergency_stop`) to the safe command accepted
 by the driver, as `rig/safe` tells it: 51.2 kHz, squealing, all nodes and the recorder. One stop in ten is of a rig that
-moves, the others repeat it. A callback that blocks releases the GIL; where a driver holds it, the process beside acts
+moves, the others repeat it. A callback that blocks releases the GIL; where a driver holds it, the watchdog acts
 (`watchdog_timeout`, 1 s).
 Load of the machine (1 min average) before and after: {before:.1f}, {after:.1f}.
 

@@ -306,7 +306,7 @@ def calibrate(
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the search.", min=0)] = 1,
     starts: Annotated[int, typer.Option(help="Independent searches.", min=1)] = 8,
-    generations: Annotated[int, typer.Option(help="Most generations of each search.", min=1)] = 600,
+    generations: Annotated[int, typer.Option(help="Longest search, in generations.", min=1)] = 600,
     out: Annotated[Path, typer.Option(help="Preset to write.")] = Path("calibrated.yaml"),
 ) -> None:
     """Find a rig that meets thresholds, frequencies, contact loss or jumps; leaves a preset with its residuals."""

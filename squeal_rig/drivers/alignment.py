@@ -78,7 +78,7 @@ class Track:
         self.faults[what] += 1
         by = f" by {abs(samples) / self._rate:.6g} s" if samples else ""
         times = f", {self.faults[what]} times so far" if self.faults[what] > 1 else ""
-        return f"{self._name}: {what}{by}: not believed, its samples are counted on{times}"
+        return f"{self._name}: {what}{by}: not believed, its samples are numbered without it{times}"
 
     def _once(self, what: str, share: Fraction) -> str:
         self.faults[what] += 1

@@ -212,7 +212,7 @@ def _channels(
             if len(entry) > 1:
                 raise ConfigurationError(
                     f"{path}, {where}: fixed stands alone, one number in {UNITS.get(name, 'its unit')}:"
-                    f" {', '.join(sorted(entry.keys() - {'fixed'}))} has no effect beside it"
+                    f" without effect beside it: {', '.join(sorted(entry.keys() - {'fixed'}))}"
                 )
             fixed[name] = _number(f"{path}, {where}", "fixed", entry["fixed"])
             continue

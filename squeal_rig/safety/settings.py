@@ -86,7 +86,10 @@ class SupervisorSettings(Declared):
         600.0, "time squeal of any level lasts before the rig is ramped down", unit="s", lower=0.1, upper=1e6
     )
     spike_samples: int = quantity(
-        3, "most samples of a block beyond a limit that are a spike, which is only warned of", lower=0, upper=10000
+        3,
+        "so many samples of a block beyond a limit, or fewer, are a spike, which is only warned of",
+        lower=0,
+        upper=10000,
     )
     saturation_time: float = quantity(
         0.1, "time a channel is at its full scale before the rig is ramped down", unit="s", lower=0.0, upper=60.0
@@ -108,7 +111,7 @@ class SupervisorSettings(Declared):
         3, "blocks out of order within ten seconds at which the rig is ramped down", lower=1, upper=1000
     )
     time_jump: float = quantity(
-        0.05, "jump of the stamps ahead of the number of samples that is warned of", unit="s", lower=1e-4, upper=60.0
+        0.05, "jump of the stamps ahead of the samples' numbers that is warned of", unit="s", lower=1e-4, upper=60.0
     )
     stale_warn: float = quantity(
         0.2, "time without samples of a running rig that is warned of", unit="s", lower=0.02, upper=60.0
@@ -128,7 +131,7 @@ class SupervisorSettings(Declared):
     )
     nodes: tuple[str, ...] = quantity(
         ("rig", "friction_estimator", "stability", "squeal_detector"),
-        "nodes of the rig's namespace whose health must come, once they have been well",
+        "nodes of the rig's namespace whose health must come: the rig's always, others' once they were well",
         read_only=True,
     )
     node_timeout: float = quantity(

@@ -263,7 +263,7 @@ class Supervisor:
 
     @property
     def watched(self) -> list[str]:
-        """Nodes that are missed from now on where their health stays away: those that have been well."""
+        """Nodes that are missed where their health stays away: the rig once heard, others once they were well."""
         return sorted(self._nodes)
 
     def events(self) -> list[Event]:

@@ -2,7 +2,12 @@
 
 import re
 
+import yaml
+
+from squeal_rig.configuration.declared import declarations
 from squeal_rig.configuration.files import config_directory
+from squeal_rig.recording.settings import DEFAULT_TOPICS
+from squeal_rig.safety.settings import SupervisorSettings
 from tests.graph.policies import read_policy
 
 from .pages import DOCS
@@ -29,3 +34,14 @@ def test_every_service_is_on_the_page():
     own = {name for name in _of("reply") if not _PARAMETERS.search(name) and not _LIFECYCLE.search(name)}
     missing = {name for name in own if f"`~/{name.partition('/')[2]}`" not in _PAGE and f"`{name}`" not in _PAGE}
     assert missing == set()
+
+
+def test_the_shipped_file_says_of_limits_what_their_declarations_say():
+    text = (config_directory() / "rig.yaml").read_text(encoding="utf-8")
+    assert yaml.safe_load(text)["/**/recorder"]["ros__parameters"]["topics"] == list(DEFAULT_TOPICS)
+    block = text.partition("/**/supervisor:")[2].partition("/**/")[0]
+    for name, declared in declarations(SupervisorSettings).items():
+        unit = f"[{declared.unit}]" if declared.unit else ""
+        above = f"# {declared.description} {unit}".strip() + f"\n    {name}: "
+        beside = re.escape(f"# {unit} {declared.description}".replace("#  ", "# "))
+        assert above in block or re.search(rf"^    {name}: .* {beside}$", block, re.M), name

@@ -63,6 +63,10 @@ WRONG = {
     ),
     "fixed without end": (("{signal: arm_left, unit: N}", "{fixed: .inf}"), "fixed = inf is not finite"),
     "fixed and huge": (("{signal: arm_left, unit: N}", "{fixed: " + "9" * 400 + "}"), "fixed = 999"),
+    "fixed and more": (
+        ("{signal: arm_left, unit: N}", "{fixed: 0.0, unit: N, sign: -1}"),
+        "fixed stands alone, one number in N: without effect beside it: sign, unit",
+    ),
     "fixed text": (("{signal: arm_left, unit: N}", "{fixed: none}"), "fixed = 'none' is not a number"),
     "no host": (("    host: 127.0.0.1\n", ""), "host = '' names no address"),
     "another driver": (("driver: opendaq", "driver: opendoc"), "driver = 'opendoc' is not known"),

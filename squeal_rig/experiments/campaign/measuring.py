@@ -26,6 +26,7 @@ from squeal_rig.model.motion.trajectory import LARGE_DISPLACEMENT
 Values = NDArray[np.float64]
 Table = dict[str, NDArray[Any]]
 
+_NO_IMPACT = "no impact was given: its impulse is 0 N s, no hit is known that starts squeal here, or none is needed"
 QUIET, SQUEAL, IRREGULAR, STOPPED, FAILED = "quiet", "squeal", "irregular", "stopped", "failed"
 #: What each verdict says.
 VERDICTS = {
@@ -161,9 +162,7 @@ class _Measurement:
             smallest, direction = self._bench.smallest_hit()
             impulse = phase.share * smallest
         if not math.isfinite(impulse) or impulse <= 0.0:
-            self._point.row["note"] = (
-                "no impact was given: its impulse is 0 N s, or no hit is known that starts squeal here"
-            )
+            self._point.row["note"] = _NO_IMPACT
             return
         self._point.row["hit"] = impulse
         self._bench.hit(impulse, direction)
