@@ -242,6 +242,7 @@ def main() -> None:
     parser.add_argument(
         "--minutes", type=float, default=1.0, help="length of the runs of the live node and of the page (default: 1)"
     )
+    parser.add_argument("--rate", type=int, default=51_200, help="sample rate of the rig of the page [Hz]")
     arguments = parser.parse_args()
     if not 0.1 <= arguments.minutes <= 1440.0:
         parser.error(f"--minutes = {arguments.minutes:g} is out of bounds: it must be 0.1 to 1440 min")
@@ -273,7 +274,7 @@ def main() -> None:
     if "page" in asked:
         from benchmarks.page import measured
 
-        seen = f"\n{measured(arguments.minutes)}"
+        seen = f"\n{measured(arguments.minutes, rate=arguments.rate)}"
     if "engine" in asked:
         above = engine()
     later = (

@@ -1,7 +1,7 @@
 """The operator's page, open for long at full load: processor, memory, pictures a second, lost samples, and its sound.
 
-`make bench ARGS="page --minutes 60"` writes it to docs/benchmarks.md; `python -m benchmarks.page --minutes 1` prints a
-short run. It needs Chromium.
+`make bench ARGS="page --minutes 60"` writes it to docs/benchmarks.md (`--rate 12800` where two cores have to do);
+`python -m benchmarks.page --minutes 1` prints a short run. It needs Chromium.
 """
 
 from __future__ import annotations
