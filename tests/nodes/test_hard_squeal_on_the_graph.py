@@ -155,6 +155,8 @@ def test_a_slow_ramp_down_in_mu_ends_squeal_at_the_fold(compiled, processes, obs
         struck = {"impact_impulse": 1.1 * hit.impulse, "impact_direction": hit.direction}
         assert observer.set(struck) == [(True, "")] * 2
         assert observer.trigger("impact")[0]
+        # What was sampled while the smallest hit was computed comes first.
+        observer.wait_for(lambda: np.ptp(blocks[-1].samples["x"]) > 1e-9, "the hit")
 
         def in_force(mu):
             """Number of a sample from which on that coefficient is in force, as far as it has come here."""
