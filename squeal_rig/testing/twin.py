@@ -184,7 +184,7 @@ def main(args: Sequence[str] | None = None) -> int:
         sys.stderr.write(f"{error}\n")
         return 2
     except KeyboardInterrupt:
-        pass
+        pass  # Ctrl-C is how it ends
     return 0
 
 
