@@ -30,6 +30,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from squeal_rig.errors import ParameterError, SquealRigError
 from squeal_rig.graph import signals
+from squeal_rig.graph.leaving import leave_graph
 
 # A signal only sets a flag, which is seen after this time [s] at most.
 _SPIN_TIMEOUT = 0.1
@@ -252,9 +253,7 @@ def _run_once(factory: Callable[[Lifetime], Node], args: Sequence[str] | None, l
         except Exception as error:
             failed = _refused(f"the node did not end well: {described(error)}", 1)
             lifetime.exit_code = lifetime.exit_code if anew else failed
-        # Before its context: what it holds of that cannot be given back afterwards.
-        executor.shutdown()
-        node.destroy_node()
+        leave_graph(executor, node)
         rclpy.try_shutdown()
     return None if anew else lifetime.exit_code
 

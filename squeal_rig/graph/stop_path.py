@@ -18,6 +18,7 @@ from std_srvs.srv import Trigger
 from squeal_rig.errors import SafetyError
 from squeal_rig.graph import qos
 from squeal_rig.graph.conversions import ERROR, OK, diagnostics, status
+from squeal_rig.graph.leaving import leave_graph
 from squeal_rig.graph.lifetime import GuardedExecutor, described
 from squeal_rig.safety.awake import AwakeTime
 from squeal_rig.safety.levels import Level, shortened
@@ -196,8 +197,7 @@ class StopPath:
                     told = f"the emergency stop's watch failed: {described(error)}"
                     self._logger.error(told, throttle_duration_sec=1.0)
         finally:
-            self._executor.shutdown()
-            self._node.destroy_node()
+            leave_graph(self._executor, self._node)
             self._context.try_shutdown()
 
     def _tick(self) -> None:

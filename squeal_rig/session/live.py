@@ -27,6 +27,7 @@ from squeal_rig.experiments.engine import FITTED, RunEvent
 from squeal_rig.graph import qos
 from squeal_rig.graph.conversions import ERROR, OK, diagnostics, status, status_number, status_values, whole_number
 from squeal_rig.graph.health import HEARD, LAST_PUBLISHED, LAST_TAKEN, LISTENERS, own_name
+from squeal_rig.graph.leaving import leave_graph
 from squeal_rig.graph.lifetime import GuardedExecutor, join_graph
 from squeal_rig.graph.names import Claim, is_running
 from squeal_rig.instruments.acquisition import NOT_MOVABLE
@@ -137,8 +138,7 @@ class LiveGraph:
 
     def close(self) -> None:
         """Leave the graph."""
-        self._executor.shutdown()
-        self._node.destroy_node()
+        leave_graph(self._executor, self._node)
         rclpy.try_shutdown()
 
     def hand_over(self, recorded: Sequence[str], present: Callable[[], bool]) -> None:

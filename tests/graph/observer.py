@@ -21,6 +21,7 @@ from std_msgs.msg import Float64, Float64MultiArray, String, UInt8
 from std_srvs.srv import SetBool, Trigger
 
 from squeal_rig.graph import qos
+from squeal_rig.graph.leaving import leave_graph
 from squeal_rig.instruments.description import RigDescription
 from squeal_rig.recording import samples_from_cdr
 
@@ -72,7 +73,7 @@ class Observer:
         self._followed = []
 
     def close(self):
-        self.node.destroy_node()
+        leave_graph(self._executor, self.node)
         self.context.try_shutdown()
 
     # --- waiting
