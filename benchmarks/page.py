@@ -162,7 +162,7 @@ def measured(minutes: float, pictures: Path | None = None, rate: int = RATE) -> 
         (folder / "logs").mkdir()
         processes, observer = Processes(domain, folder / "logs"), Observer(domain)
         try:
-            return _measured(processes, observer, folder / "bag", minutes, pictures, loads, rate)
+            return _measured(processes, observer, folder / "long_run", minutes, pictures, loads, rate)
         finally:
             processes.end_all()
             observer.close()
@@ -184,7 +184,8 @@ def _measured(
     nodes["page"] = page = processes.node("page", *files, *parameters(port=0, control=True))
     observer.wait_for(lambda: "http://" in page.errors or not page.running, "the page's address", PATIENCE)
     url = re.search(r"http://\S+?(?=/)", page.errors)[0]  # type: ignore[index]
-    nodes["recorder"] = processes.node("recorder", *files, *parameters(directory=str(bag)))
+    # As a picture of the page shall show it.
+    nodes["recorder"] = processes.node("recorder", *files, *parameters(directory=bag.name), cwd=bag.parent)
     nodes["simulator"] = processes.node("simulator", *files, *parameters(supervisor_required=True, sample_rate=rate))
     observer.wait_for(lambda: observer.state() == "active", "an active rig", PATIENCE)
     observer.set({"preload": 300.0, "k1": 6e7, "k2": 6e7, "mu0": 0.26}, atomically=True)

@@ -98,6 +98,7 @@ def main(log, seconds, listeners, blocks):
 
     from squeal_rig.graph.conversions import OK
     from squeal_rig.graph.health import HealthPublisher
+    from squeal_rig.graph.leaving import leave_graph
 
     rclpy.init()
     node = Node("load")
@@ -127,7 +128,7 @@ def main(log, seconds, listeners, blocks):
         while (left := start + number / RATE - time.monotonic()) > 0.0:
             rclpy.spin_once(node, timeout_sec=left)
     rclpy.spin_once(node, timeout_sec=0.5)
-    node.destroy_node()
+    leave_graph(rclpy.get_global_executor(), node)
     rclpy.try_shutdown()
 
 
