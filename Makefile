@@ -21,7 +21,7 @@ help:
 	@echo "make test       run the tests (ARGS: options for pytest)"
 	@echo "make test-slow  what starts and ends processes many times: signals, sessions that are gone, rigs of one name; long fits"
 	@echo "make test-long  half an hour of stable running without an alarm, 400 fits whose intervals must hold, 700 hits and zones by"
-	@echo "                force, a live campaign that is killed"
+	@echo "                force, a live campaign that is killed, thousands of leaves from a busy graph"
 	@echo "make test-docs  every tutorial from start to end, and the Python of every page"
 	@echo "make faults     break the rig in some forty ways and see where it ends; writes docs/faults.md"
 	@echo "make fuzz       inputs that nobody means well, for two minutes (MINUTES=30: for longer); fuzz_findings/ has what it finds"

@@ -184,7 +184,7 @@ def _measured(
     nodes["page"] = page = processes.node("page", *files, *parameters(port=0, control=True))
     observer.wait_for(lambda: "http://" in page.errors or not page.running, "the page's address", PATIENCE)
     url = re.search(r"http://\S+?(?=/)", page.errors)[0]  # type: ignore[index]
-    # As a picture of the page shall show it.
+    # A short relative folder: the page shows it, and so does its picture.
     nodes["recorder"] = processes.node("recorder", *files, *parameters(directory=bag.name), cwd=bag.parent)
     nodes["simulator"] = processes.node("simulator", *files, *parameters(supervisor_required=True, sample_rate=rate))
     observer.wait_for(lambda: observer.state() == "active", "an active rig", PATIENCE)

@@ -62,5 +62,5 @@ def is_running(name: str, own: Node | None = None, discovery: float = 0.0) -> bo
     while listed() and name not in heard and time.monotonic() < deadline:
         executor.spin_for(0.05)
     executor.shutdown()
-    listener.destroy_node()
+    listener.destroy_node()  # not the last of its context, which is what `leave_graph` is for
     return name in heard

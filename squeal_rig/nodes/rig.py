@@ -165,6 +165,11 @@ class RigNode(LifecycleNode):
         self._ended = True
         return self._attempt(self._let_go)
 
+    def destroy_node(self) -> None:
+        """Give back what belongs to the node; rclpy forgets the state machine, with a publisher of its own."""
+        self._state_machine.destroy_when_not_in_use()
+        super().destroy_node()
+
     def close(self) -> None:
         """Let go of the driver and say that this is the end, which is no fault."""
         self._ended = True
