@@ -144,14 +144,19 @@ def compared(heard: Heard, bag: Path, rate: int) -> tuple[int, int, int, int, in
     return received, usable, equal, len(origins), gaps
 
 
-def lost_samples(bag: Path) -> tuple[int, int]:
-    """Blocks in the bag, and samples missing between them."""
+def lost_samples(bag: Path, rate: int) -> tuple[int, int, str]:
+    """Blocks in the bag, samples missing between them, and when that was: minutes since sample 0."""
     expected, blocks, lost = None, 0, 0
+    minutes: dict[str, int] = {}
     for message in Bag(bag).messages(["/daq/samples"]):
         seq = samples_from_cdr(message.data).samples["seq"]
-        lost += 0 if expected is None else (int(seq[0]) - expected) % 2**32
+        if expected is not None and (missing := (int(seq[0]) - expected) % 2**32):
+            lost += missing
+            minute = f"{expected / rate / 60.0:.0f}"
+            minutes[minute] = minutes.get(minute, 0) + missing
         expected, blocks = (int(seq[-1]) + 1) % 2**32, blocks + 1
-    return blocks, lost
+    when = ", ".join(f"{missing} at {minute} min" for minute, missing in minutes.items())
+    return blocks, lost, f" ({when})" if when else ""
 
 
 def measured(minutes: float, pictures: Path | None = None, rate: int = RATE) -> str:
@@ -224,7 +229,7 @@ def _measured(
         browser.close()
     nodes["simulator"].end()
     nodes["recorder"].end()
-    blocks, lost = lost_samples(bag)
+    blocks, lost, when = lost_samples(bag, rate)
     received, usable, equal, streams, gaps = compared(heard, bag, rate)
     if not usable:
         raise SystemExit(f"{received} samples of sound were received, and none can be compared with the bag")
@@ -240,7 +245,7 @@ middle, after: {load} ({os.cpu_count()} cores).
 
 Pictures a second: Chromium {rates[0]:.1f}, the others {rates[1]:.1f} and {rates[2]:.1f}.
 Memory at start, middle, end: node `page` {resident} MB, the script in the browser {script} MB.
-The recorder has {blocks} blocks; samples lost: {lost}. The operating map was {mapped} after the page was opened.
+The recorder has {blocks} blocks; samples lost: {lost}{when}. The operating map was {mapped} after the page was opened.
 Sound: {received} samples received ({received / SOUND_RATE:.0f} s); of {usable} compared with the bag resampled offline
 {equal} are equal; streams: {streams} (one where nothing was lost on the way), gaps in them: {gaps}.
 Errors in the browser: {"; ".join(troubles) or "none"}.
