@@ -16,9 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from squeal_rig.configuration.files import config_directory
-from squeal_rig.instruments.channels import block_from_cdr
 from squeal_rig.instruments.warm_up import warm_up
-from squeal_rig.recording import Bag
+from squeal_rig.recording import Bag, samples_from_cdr
 from squeal_rig.recording.recover import recover
 from squeal_rig.report.bag_info import sample_counts
 from tests.graph.domains import private_domain
@@ -85,9 +84,9 @@ class Soak:
 
     def _take(self, data):
         arrived = time.time_ns()
-        block = block_from_cdr(data)
+        block = samples_from_cdr(data)
         seq = block.samples["seq"]
-        self.delays.append((arrived - block.stamp) / 1e9 - _BLOCK)
+        self.delays.append((arrived - block.stamp_ns) / 1e9 - _BLOCK)
         if self._next is not None and 0 < (ahead := int(seq[0]) - self._next) < 2**31:
             self.seen_lost += ahead
         self._next = int(seq[-1]) + 1
