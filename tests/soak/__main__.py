@@ -17,14 +17,13 @@ import numpy as np
 
 from squeal_rig.configuration.files import config_directory
 from squeal_rig.instruments.warm_up import warm_up
-from squeal_rig.recording import Bag, samples_from_cdr
-from squeal_rig.recording.recover import recover
-from squeal_rig.report.bag_info import sample_counts
+from squeal_rig.recording import samples_from_cdr
 from tests.graph.domains import private_domain
 from tests.graph.observer import Observer
 from tests.graph.processes import Processes, parameters
 from tests.graph.statuses import health_of, status_of
 
+from .bags import BagChecks
 from .slopes import faults_of
 
 _RIG_NODES = ("rig", "supervisor", "friction_estimator", "stability", "squeal_detector", "recorder")
@@ -40,8 +39,6 @@ _KILLS = 20  # in a run of any length
 _RECOVERY = 90.0  # s from the start of a node to its health, on a loaded machine
 _PERIOD = 1.0  # s between two looks
 _BLOCK = 0.01  # s
-_SAMPLES_A_BLOCK = 512
-_MOST_MB = 2000.0  # of bags kept meanwhile: older whole ones are checked, then removed
 
 
 @dataclass
@@ -58,6 +55,11 @@ class Life:
     ending: str = "ended"
 
 
+def is_well(name, told):
+    """Whether a node's health says that it is back; a recorder goes on telling what was lost on the way to it."""
+    return told[0] == 0 or (name == "recorder" and told[0] == 1 and told[2]["state"].startswith("recording"))
+
+
 class Soak:
     """The rig, its nodes and what happens to them."""
 
@@ -66,6 +68,7 @@ class Soak:
         self.random = random.Random(seed)
         self.lives, self.events, self.faults = [], [], []
         self.running, self.recoveries, self.rows = {}, [], []
+        self.bags = BagChecks()
         self.health = observer.follow("/diagnostics", depth=200)
         self.states = observer.follow("supervisor/state", depth=20)
         self.delays, self.seen_lost, self._next = [], 0, None
@@ -118,7 +121,7 @@ class Soak:
             told = health_of(self.health, life.name)
             if told is not None and self.is_stopped():
                 self.release()
-            elif told is not None and told[0] == 0:
+            elif told is not None and is_well(life.name, told):
                 self.recoveries.append((life.name, time.monotonic() - begin))
                 return
         told = health_of(self.health, life.name)
@@ -162,6 +165,8 @@ class Soak:
             if number != signal.SIGKILL and code != 0:
                 self.faults.append(f"{life.name} ended with exit code {code} after {number.name}")
         self.recover(self.start(life.name))
+        if life.bag is not None:
+            self.bags.check(life.bag, killed=number == signal.SIGKILL)
 
     # --- what happens
 
@@ -224,7 +229,6 @@ class Soak:
                 next_action = self.now + self.random.uniform(1.0, 6.0)
             if self.now > next_kill:
                 self.kill()
-                self.keep_the_disk_free()
                 next_kill = next(kills, float("inf"))
             if campaign is None and self.now > begin + 0.25 * seconds:
                 campaign = self.start_campaign()
@@ -245,28 +249,6 @@ class Soak:
 
     # --- judgement
 
-    def keep_the_disk_free(self):
-        """Check and remove bags that are whole once they take too much."""
-        bags = [life for life in self.lives if life.bag and not life.child.running and life.bag.is_dir()]
-        size = sum(file.stat().st_size for file in (self.out / "bags").rglob("*.mcap")) / 1e6
-        for life in bags if size > _MOST_MB else []:
-            self.check_bag(life)
-            shutil.rmtree(life.bag, ignore_errors=True)
-
-    def check_bag(self, life):
-        """No sample is lost in a bag that the bag does not count itself."""
-        path = life.bag
-        if life.ending == "SIGKILL":
-            path = life.bag.with_name(f"{life.bag.name}_recovered")
-            recover(life.bag, path)
-        bag = Bag(path)
-        told = int(bag.custom_data.get("lost_messages", 0)) * _SAMPLES_A_BLOCK
-        for topic, count in sample_counts(bag).items():
-            if count.damaged:
-                self.faults.append(f"{path.name}: {count.damaged} damaged blocks of {topic}")
-            if count.lost > told and topic.endswith("/samples") and "friction" not in topic:
-                self.faults.append(f"{path.name}: {count.lost} samples of {topic} are missing, {told} were reported")
-
     def judge(self):
         pages = sum(life.name == "page" for life in self.lives)
         if self.watcher is not None and self.watcher.connections < pages:
@@ -275,8 +257,8 @@ class Soak:
             for kind, values in (("memory", life.memory), ("handles", life.handles)):
                 if len(life.times) >= 60:
                     self.faults += faults_of(f"{life.name} from {life.begin:.0f} s", kind, life.times, values)
-            if life.bag is not None and life.bag.is_dir():
-                self.check_bag(life)
+        self.bags.check(self.running["recorder"].bag, killed=False)
+        self.faults += self.bags.faults()
         return self.faults
 
     def write(self):

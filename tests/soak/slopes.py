@@ -2,20 +2,21 @@
 
 import numpy as np
 
-# What a node takes up in its first time is no leak: caches, queues, the first of everything.
-_WARM_UP = 0.25
+# What a node takes up in its first time is no leak: caches, queues, the first of everything. A share of a life, and a
+# time [s]: on a machine that is too slow for it all, each kill of another node can be the longest queue so far.
+_WARM_UP, _FIRST = 0.25, 300.0
 _POINTS = 200
 #: Growth over a life that is none yet: [MB] of memory, handles.
 TOLERATED = {"memory": 8.0, "handles": 6.0}
 
 
 def growth(times, values):
-    """Growth over the observed time, by the median of all slopes (Theil, Sen), after the first quarter of it.
+    """Growth over the observed time, by the median of all slopes (Theil, Sen), after its first quarter or 300 s.
 
     Medians, since a splitting recorder or a map that is computed makes single high values.
     """
     times, values = np.asarray(times, float), np.asarray(values, float)
-    late = times >= times[0] + _WARM_UP * (times[-1] - times[0])
+    late = times >= times[0] + max(_FIRST, _WARM_UP * (times[-1] - times[0]))
     times, values = times[late], values[late]
     if len(times) < 10:
         return 0.0

@@ -5,7 +5,7 @@ import pytest
 
 from tests.soak.slopes import TOLERATED, faults_of, growth
 
-_TIMES = np.arange(0.0, 600.0)
+_TIMES = np.arange(0.0, 1800.0)
 
 
 @pytest.fixture
@@ -15,9 +15,9 @@ def noise():
 
 def test_a_leak_is_found_with_its_size(noise):
     leaking = 150.0 + 0.05 * _TIMES + noise
-    assert growth(_TIMES, leaking) == pytest.approx(0.05 * 450.0, rel=0.1)  # of the last three quarters
+    assert growth(_TIMES, leaking) == pytest.approx(0.05 * 1350.0, rel=0.1)  # of the last three quarters
     (sentence,) = faults_of("recorder", "memory", _TIMES, leaking)
-    assert sentence.startswith("recorder: memory grew by 2")
+    assert sentence.startswith(("recorder: memory grew by 6", "recorder: memory grew by 7"))
 
 
 def test_noise_peaks_and_a_rise_at_the_begin_are_no_leak(noise):
@@ -33,3 +33,4 @@ def test_a_handle_kept_by_every_minute_is_found():
 
 def test_a_short_life_is_not_judged():
     assert growth(_TIMES[:8], _TIMES[:8]) == 0.0
+    assert growth(_TIMES[:300], _TIMES[:300]) == 0.0

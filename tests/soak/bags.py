@@ -1,0 +1,60 @@
+"""Checks bags that are finished, in a process of low priority beside the run."""
+
+import os
+import shutil
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+
+from squeal_rig.recording import Bag
+from squeal_rig.recording.recover import recover
+from squeal_rig.report.bag_info import sample_counts
+
+_SAMPLES_A_BLOCK = 512
+
+
+def _is_patient():
+    os.nice(19)
+
+
+def faults_of_bag(path, killed):
+    """A sentence for each loss that the bag does not count itself. Removes the bag where there is none."""
+    source, faults = path, []
+    if killed:
+        source = path.with_name(f"{path.name}_recovered")
+        recover(path, source)
+    bag = Bag(source)
+    told = int(bag.custom_data.get("lost_messages", 0)) * _SAMPLES_A_BLOCK
+    for topic, count in sample_counts(bag).items():
+        if count.damaged:
+            faults.append(f"{source.name}: {count.damaged} damaged blocks of {topic}")
+        if count.lost > told and topic.endswith("/samples") and "friction" not in topic:
+            faults.append(f"{source.name}: {count.lost} samples of {topic} are missing, {told} were reported")
+    if not faults:
+        for folder in (path, source):
+            shutil.rmtree(folder, ignore_errors=True)
+    return faults
+
+
+class BagChecks:
+    """Checks one bag after the other; a check that fails is a fault too."""
+
+    def __init__(self):
+        # A process of its own kind: ours has threads and a ROS graph.
+        self._pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_is_patient)
+        self._results = {}
+
+    def check(self, path, killed):
+        """Have a bag checked; once is enough."""
+        if path not in self._results:
+            self._results[path] = self._pool.submit(faults_of_bag, path, killed)
+
+    def faults(self):
+        """Wait for all of them; their sentences."""
+        found = []
+        for path, result in self._results.items():
+            try:
+                found += result.result()
+            except Exception as error:
+                found.append(f"{path.name} could not be checked: {type(error).__name__}: {error}")
+        self._pool.shutdown()
+        return found
