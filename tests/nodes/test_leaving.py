@@ -49,7 +49,7 @@ def test_a_middleware_that_does_not_let_go_is_left_with_the_exit_code_of_the_pro
 
 @pytest.mark.long
 def test_every_leave_ends_while_news_come_in(processes, measured):
-    """Without the bound, about one in a thousand hangs for good."""
+    """Without the bound, about one in two thousand hangs for good."""
     seconds = 240.0
     churners = [_guest(processes, "churn", seconds + 60.0) for _ in range(2)]
     told, end = [], time.monotonic() + seconds
