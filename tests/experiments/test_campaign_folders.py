@@ -163,24 +163,21 @@ protocol: [{start: 0.5}, {dwell: 0.2}]
     )
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
+def test_lines_that_would_be_ours_and_lack_something_are_passed_over(tmp_path):
+    folder = tmp_path / "levels"
+    finished(folder)
+    for line in (
         {"what": "run ended"},
         {"what": "campaign", "plan": "x", "points": 3},
         {"what": "campaign", "plan": "x", "points": 3, "chunk_size": 0, "time": 1.0},
         {"what": "chunk", "chunk": 0, "rows": 4, "failed": "x", "files": {}, "time": 1.0},
         {"what": "run started", "time": 1e300},
-    ],
-)
-def test_lines_that_would_be_ours_and_lack_something_are_passed_over(tmp_path, line):
-    folder = tmp_path / "levels"
-    finished(folder)
-    with (folder / JOURNAL).open("a") as stream:
-        stream.write(json.dumps(line) + "\n" + "[" * 100_000 + "\n")
-    assert "it ended: done" in status(folder)[-1]
+    ):
+        with (folder / JOURNAL).open("a") as stream:
+            stream.write(json.dumps(line) + "\n" + "[" * 100_000 + "\n")
+        assert "it ended: done" in status(folder)[-1], line
+        Store.resume(folder).close()
     write_campaign_report(folder)
-    Store.resume(folder).close()
 
 
 def test_a_journal_that_is_no_file_is_not_waited_for(tmp_path):
