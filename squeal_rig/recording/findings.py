@@ -66,7 +66,8 @@ class Recovery:
 
     messages saved, of them `unproved` without a checksum in the file; chunks saved and damaged; `lost` messages that
     the numbering or the summary shows to be missing; `lost_seconds` [s] between intact pieces with damage in between;
-    `closed` whether every file had its ending; `unread_bytes` behind the last intact piece of files without one;
+    `closed` whether every file had its ending; `uncounted` files whose summary should say how much they hold and
+    cannot be read; `unread_bytes` behind the last intact piece of files without one;
     `files_within` other MCAP files found inside; `missing_files` names of files that the folder lacks; `unended`
     whether the file is not there in which a recorder of ours says how the recording ended.
     """
@@ -79,6 +80,7 @@ class Recovery:
     lost_seconds: float = 0.0
     unread_bytes: int = 0
     closed: bool = True
+    uncounted: int = 0
     refused: dict[str, int] = field(default_factory=dict)  # reason -> messages
     lost_records: int = 0
     files_within: int = 0
@@ -89,7 +91,7 @@ class Recovery:
     def complete(self) -> bool:
         """Whether nothing is known to be lost."""
         left_out = self.refused or self.lost_records or self.files_within or self.missing_files or self.unended
-        return self.closed and not (self.lost or self.damaged_chunks or self.unread_bytes or left_out)
+        return self.closed and not (self.lost or self.uncounted or self.damaged_chunks or self.unread_bytes or left_out)
 
     def sentences(self) -> list[str]:
         """What to tell the user."""
@@ -106,6 +108,8 @@ class Recovery:
                 "the recording was not closed: what had not reached the file is lost too (at most one second of a"
                 f" recorder of ours); {self.unread_bytes} bytes at the end hold nothing intact"
             )
+        if self.uncounted:
+            told.append(f"{self.uncounted} files have lost the count of what they should hold: more may be missing")
         if self.unproved:
             told.append(f"{self.unproved} of the messages have no checksum in the file: nothing vouches for them")
         if self.lost_records:

@@ -93,6 +93,8 @@ class _Rescue:
             self._save(piece, file)
         loose = salvage.loose
         self.ours = self.ours or is_numbered(loose.library)
+        if loose.closed and loose.statistics is None and (loose.damaged_ends or is_numbered(loose.library)):
+            report.uncounted += 1
         report.closed = report.closed and loose.closed
         report.files_within += loose.files_within
         if loose.statistics is not None:
@@ -224,6 +226,7 @@ class _File:
 def _custom_data(rescue: _Rescue, report: Recovery) -> dict[str, str]:
     return rescue.custom | {
         "recovered_lost_messages": str(report.lost),
+        "recovered_uncounted_files": str(report.uncounted),
         "recovered_lost_seconds": f"{report.lost_seconds:.3f}",
         "recovered_damaged_chunks": str(report.damaged_chunks),
         "recovered_unproved_messages": str(report.unproved),

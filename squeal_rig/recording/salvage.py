@@ -68,6 +68,7 @@ class LooseRecords:
     """What stands outside chunks: definitions, metadata, and what the summary says where its checksum fits.
 
     `files_within` counts other MCAP files inside this one (in an attachment, in a message): they are no part of it.
+    `damaged_ends` says whether the file does not begin as one should, or has a summary that lacks its checksum's proof.
     """
 
     library: str = ""
@@ -77,6 +78,7 @@ class LooseRecords:
     statistics: Statistics | None = None
     closed: bool = False
     files_within: int = 0
+    damaged_ends: bool = False
 
 
 class Salvage:
@@ -95,6 +97,7 @@ class Salvage:
             if not self.size:
                 raise RecordingError(f"{path} is empty: there is nothing to recover.")
             self._begun = data[: len(MAGIC)] == MAGIC
+            self.loose.damaged_ends = not self._begun
             self._read_summary(data)
 
     def pieces(self) -> Iterator[Salvaged | Damaged]:
@@ -179,8 +182,10 @@ class Salvage:
         if footer is None:
             return
         self.loose.closed = True
-        start = _start_of_summary(data, footer)
+        fits = summary_fits(data, footer)
+        start = footer.summary_start if fits else _moved_summary(data, footer) if fits is False else None
         if start is None:
+            self.loose.damaged_ends = self.loose.damaged_ends or fits is False
             return
         try:
             for record in read_records(data, _SUMMARY, start, len(data) - ENDING):
@@ -195,11 +200,8 @@ class Salvage:
             return  # what came before it counts
 
 
-def _start_of_summary(data: FileBytes, footer: Footer) -> int | None:
-    """Return where the summary begins; None where no checksum vouches for it. Bytes lost or added before it move it."""
-    fits = summary_fits(data, footer)
-    if fits is not False:
-        return footer.summary_start if fits else None
+def _moved_summary(data: FileBytes, footer: Footer) -> int | None:
+    """Return where the summary begins that bytes lost or added before it have moved; None where no checksum fits."""
     low, stop = max(len(data) - _MAX_SUMMARY, 0), len(data) - len(MAGIC)
     tail = data[low:stop]
     place = len(tail)

@@ -23,10 +23,11 @@ from .writer import is_numbered
 
 # What our recorder and `recover` count in a bag's custom data.
 _OWN_COUNTS = {
-    "lost_messages": "were lost on the way to the recorder",
-    "refused_messages": "could not be recorded",
-    "messages_lost_at_end": "were lost at the end, when the disk was full",
-    "recovered_lost_messages": "were missing already when it was recovered",
+    "lost_messages": "messages were lost on the way to the recorder",
+    "refused_messages": "messages could not be recorded",
+    "messages_lost_at_end": "messages were lost at the end, when the disk was full",
+    "recovered_lost_messages": "messages were missing already when it was recovered",
+    "recovered_uncounted_files": "files had lost the count of what they should hold when it was recovered",
 }
 _OUT_OF_ORDER = 10**9  # [ns]
 
@@ -210,7 +211,7 @@ def _check_metadata(path: Path, indexes: list[FileIndex], topics: dict[str, _Top
         tell(path.name, "does not say how the recording ended" + (": its last file is not there" if ours else ""))
     for key, meaning in _OWN_COUNTS.items():
         if told.get(key, "0") != "0":
-            verdict.warn(path.name, f"says of itself that {told[key]} messages {meaning}")
+            verdict.warn(path.name, f"says of itself that {told[key]} {meaning}")
 
 
 def _disagreements(metadata: BagMetadata, indexes: list[FileIndex], topics: dict[str, _Topic]) -> Iterator[str]:

@@ -144,6 +144,19 @@ def test_lost_messages_and_seconds_are_reported(original, tmp_path):
     assert Bag(tmp_path / "out").custom_data["recovered_lost_messages"] == str(len(missing))
 
 
+@pytest.mark.parametrize("lost", [0, 1])
+def test_nothing_is_called_complete_where_the_count_is_lost(original, tmp_path, lost):
+    """Without the beginning nobody knows that the messages are numbered, without the summary how many there were."""
+    data = bytearray(original.bytes[original.places[lost][0] :])
+    data[-40] ^= 1  # within the summary, the footer as it was
+    report, got = recovered(bytes(data), tmp_path)
+    assert report.chunks == len(original.places) - lost
+    assert (len(got) < len(original.sent)) == (lost > 0)
+    assert (report.complete, report.lost) == (False, 0)
+    assert report.sentences()[-1] == "1 files have lost the count of what they should hold: more may be missing"
+    assert "count of what they should hold" in verify(tmp_path / "out").findings[0].sentence
+
+
 def test_several_damaged_chunks_in_a_row_hide_nothing_after_them(original, tmp_path):
     data = bytearray(original.bytes)
     for start, end in original.places[2:5]:
