@@ -18,6 +18,7 @@ from squeal_rig.configuration.files import parse_yaml, read_text
 from squeal_rig.errors import ConfigurationError, ParameterError
 from squeal_rig.estimation.bands import band
 from squeal_rig.estimation.settings import SquealSettings, ToneSettings
+from squeal_rig.estimation.squeal import SquealDetector
 from squeal_rig.estimation.squeal_events import SquealEvents
 from squeal_rig.experiments.campaign.designs import (
     AS_GIVEN,
@@ -160,6 +161,7 @@ def parse_campaign(text: str, source: str) -> Campaign:
         reader.refuse("stop.level", "with measure: level nobody looks at the level before a point has ended")
     if measure == EVENTS:
         rate = RigSettings().sample_rate
+        reader.tried("detection", lambda: SquealDetector(rate, squeal))
         reader.tried("detection", lambda: SquealEvents(rate, squeal, tones))
     _check_friction(reader, base, design)
     return Campaign(
