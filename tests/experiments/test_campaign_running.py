@@ -86,7 +86,7 @@ def test_levels_agree_with_eigenvalues_where_no_hit_is_large_and_do_not_depend_o
 
 
 def test_events_and_ramp_at_a_stable_and_an_unstable_point_and_their_report(tmp_path):
-    points = finished(tmp_path, EVENTS, chunk=1)
+    points = finished(tmp_path, EVENTS.replace("from: 120.0, to: 60.0", "from: 60.0, to: 120.0"), chunk=1)
     events, steps = read(tmp_path, "events"), read(tmp_path, "steps")
     p = RigParameters.preset("yavuz_sen_2023").replace(damping_x=1000.0, damping_y=1000.0)
     growth = stability_map(p, preload=points["preload"]).growth_rate
@@ -96,11 +96,12 @@ def test_events_and_ramp_at_a_stable_and_an_unstable_point_and_their_report(tmp_
     measured = events["growth"][born & np.isfinite(events["growth"])]
     assert measured[0] == pytest.approx(growth[1], rel=0.02)
     assert len(steps["value"]) == 10
-    assert steps["value"][:5].tolist() == [120.0, 90.0, 60.0, 90.0, 120.0]
+    assert steps["value"][:5].tolist() == [60.0, 90.0, 120.0, 90.0, 60.0]
     page = write_campaign_report(tmp_path)
     text = page.read_text()
     assert "src='data:image/png" in text
     assert "http" not in text.replace("http://www.w3.org", "")
+    assert "squeal_from [N]" in text
     assert {"operating_map.png", "events.csv", "points_all.csv", "worst_point.png"} <= {
         f.name for f in page.parent.iterdir()
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
@@ -132,7 +133,10 @@ def _map_section(results: Results) -> Section:
     )  # fmt: skip
     points = {**results.points, "zone": results.zones}
     factors = [f.name for f in results.campaign.design.factors]
-    shown = _table("points", "Points", _some(points, (*factors, *_POINT_COLUMNS)), _MOST_ROWS)
+    ramped = {phase.parameter for phase in results.campaign.protocol if phase.kind == "ramp"}
+    # Where a ramp found squeal is a value of what it changed.
+    units = dict.fromkeys(("squeal_from", "squeal_to"), unit_of(*ramped)) if len(ramped) == 1 else {}
+    shown = _table("points", "Points", _some(points, (*factors, *_POINT_COLUMNS)), _MOST_ROWS, units)
     all_points = _table("points_all", "Points", points)
     pictures = [operating_map(results)]
     if (results.points["verdict"] == SQUEAL).any():
@@ -324,14 +328,18 @@ def _moment(seconds: float) -> str:
     return f"{datetime.fromtimestamp(seconds, timezone.utc):%Y-%m-%d %H:%M:%S} UTC"
 
 
-def _table(name: str, caption: str, table: Table, most: int | None = None) -> DataTable:
+def _table(
+    name: str, caption: str, table: Table, most: int | None = None, units: Mapping[str, str] | None = None
+) -> DataTable:
     columns = list(table)
     count = len(table[columns[0]])
     if most is not None and count > most:
         caption += f" (the first {most} of {count}; all of them in {name}_all.csv)"
     rows = [[_plain(table[column][i]) for column in columns] for i in range(min(count, most or count))]
     # The files have the names of the columns as they are kept.
-    return DataTable(name, caption, columns, rows, [column + unit_of(column) for column in columns])
+    return DataTable(
+        name, caption, columns, rows, [column + (units or {}).get(column, unit_of(column)) for column in columns]
+    )
 
 
 def _some(table: Table, names: tuple[str, ...]) -> Table:
