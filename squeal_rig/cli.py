@@ -281,6 +281,7 @@ def warm_up() -> None:
 
     from squeal_rig.instruments.warm_up import warm_up as compile_everything
 
+    console.print("compiling the model, once: one to two minutes")
     begin = time.monotonic()
     compile_everything()
     console.print(f"the model is compiled: {time.monotonic() - begin:.1f} s")

@@ -100,6 +100,13 @@ def _operating_point(axis: Any, analysis: Analysis) -> None:
     axis.set_title("Operating point, and what the eigenvalues say of it", loc="left", fontsize=10)
 
 
+def _legend_above(axis: Any, columns: int) -> None:
+    """A legend in room of its own above what is drawn."""
+    low, high = axis.get_ylim()
+    axis.set_ylim(low, high + 0.25 * (high - low))
+    axis.legend(loc="upper right", fontsize=8, ncols=columns)
+
+
 def _displacement(axis: Any, analysis: Analysis) -> None:
     course = analysis.course
     t = course.block_column("t")
@@ -107,7 +114,7 @@ def _displacement(axis: Any, analysis: Analysis) -> None:
         low, high = course.block_column(f"{name}_min") * 1e6, course.block_column(f"{name}_max") * 1e6
         axis.fill_between(t, low, high, step="post", color=color, alpha=0.55, lw=0.5, hatch=hatch, label=name)
     axis.set_ylabel("range [$\\mu$m]")
-    axis.legend(loc="upper right", fontsize=8, ncols=2)
+    _legend_above(axis, 2)
     axis.set_title(
         "Pad displacement along (x) and away from (y) the belt, range in each block of 10 ms",
         loc="left",
@@ -132,7 +139,7 @@ def _friction(axis: Any, analysis: Analysis) -> None:
         )
         if np.isfinite(truth).any():
             axis.plot(t, truth, "-", lw=1.0, color="k", label="true")
-        axis.legend(loc="upper right", fontsize=8, ncols=3)
+        _legend_above(axis, 3)
     axis.set_ylabel("$\\mu$")
     axis.set_title("Friction coefficient in windows of 0.2 s", loc="left", fontsize=10)
 
@@ -179,6 +186,9 @@ def _spectrum(axis: Any, segment: Segment) -> None:
     rms = amplitudes[shown] / math.sqrt(2.0)  # of a line, as of the level beside it
     level = 20.0 * np.log10(np.maximum(rms / REFERENCE, 10.0 ** (_LOWEST_LEVEL / 20.0)))
     axis.plot(frequencies[shown] / 1e3, level, color="k", lw=0.8)
+    if level.max() <= _LOWEST_LEVEL:
+        where = (0.5, 0.5)
+        axis.annotate(f"nothing above {_LOWEST_LEVEL:g} dB", where, xycoords="axes fraction", ha="center", fontsize=8)
     s = segment.stability
     if s is not None and not math.isnan(s.squeal_frequency):
         axis.axvline(

@@ -176,7 +176,8 @@ def main(args: Sequence[str] | None = None) -> int:
     daq_port, modbus_port = given.daq_port or free_port(), given.modbus_port or free_port()
     try:
         settings = RigSettings(sample_rate=given.sample_rate, instruments=given.instruments)
-        p = RigParameters.preset(given.preset).replace(damping_x=20.0, damping_y=20.0)
+        # Where the belt stands it brakes the pad: with the preset's sliding friction a squeal would outlive every stop.
+        p = RigParameters.preset(given.preset).replace(damping_x=20.0, damping_y=20.0, friction_direction="slip")
         if given.write_config is not None:
             given.write_config.write_text(twin_config(daq_port, modbus_port), encoding="utf-8")
         run_twin(daq_port, modbus_port, settings, p, given.fault)
