@@ -47,6 +47,7 @@ class Life:
 
     name: str
     child: object
+    number: int
     begin: float
     bag: Path | None = None
     times: list = field(default_factory=list)
@@ -78,6 +79,10 @@ class Soak:
 
             self.port = free_port()
             self.watcher = Watcher(self.port)
+        # Written as it comes: a run of hours that is ended leaves what it saw.
+        self._table = (out / "soak.csv").open("w", newline="", encoding="utf-8", buffering=1)
+        self._csv = csv.writer(self._table)
+        self._csv.writerow(("node", "life", "t [s]", "memory [MB]", "handles"))
         observer.listen("daq/samples", self._take, raw=True)
         self.begin = time.monotonic()
 
@@ -94,6 +99,11 @@ class Soak:
             self.seen_lost += ahead
         self._next = int(seq[-1]) + 1
 
+    def fault(self, sentence):
+        """Note a fault, and tell it at once."""
+        self.faults.append(sentence)
+        sys.stderr.write(f"{self.now:.0f} s: {sentence}\n")
+
     # --- nodes
 
     def start(self, name):
@@ -106,7 +116,7 @@ class Soak:
             self.states.clear()  # those of the one before
         files = ("--params-file", config_directory() / "rig.yaml")
         child = self.processes.node(name, *files, *parameters(**options), cwd=self.out)
-        life = Life(name, child, self.now, bag)
+        life = Life(name, child, len(self.lives), self.now, bag)
         self.lives.append(life)
         self.running[name] = life
         self.health.clear()
@@ -125,7 +135,7 @@ class Soak:
                 self.recoveries.append((life.name, time.monotonic() - begin))
                 return
         told = health_of(self.health, life.name)
-        self.faults.append(f"{life.name} did not come back within {_RECOVERY:g} s: {told or life.child.errors[-300:]}")
+        self.fault(f"{life.name} did not come back within {_RECOVERY:g} s: {told or life.child.errors[-300:]}")
 
     def told_by_supervisor(self):
         """(level, sentence) of the supervisor, as it has told last."""
@@ -159,11 +169,11 @@ class Soak:
         try:
             code = life.child.wait(60.0)
         except subprocess.TimeoutExpired:
-            self.faults.append(f"{life.name} still runs 60 s after {number.name}")
+            self.fault(f"{life.name} still runs 60 s after {number.name}")
             life.child.kill()
         else:
             if number != signal.SIGKILL and code != 0:
-                self.faults.append(f"{life.name} ended with exit code {code} after {number.name}")
+                self.fault(f"{life.name} ended with exit code {code} after {number.name}")
         self.recover(self.start(life.name))
         if life.bag is not None:
             self.bags.check(life.bag, killed=number == signal.SIGKILL)
@@ -183,7 +193,7 @@ class Soak:
                 what = self.observer.trigger("reset")
         except AssertionError as error:
             what = f"no answer: {error}"
-            self.faults.append(f"the rig did not answer at {self.now:.0f} s: {error}")
+            self.fault(f"the rig did not answer at {self.now:.0f} s: {error}")
         self.events.append((self.now, str(what)))
 
     def look(self):
@@ -203,9 +213,10 @@ class Soak:
                 life.times.append(self.now)
                 life.memory.append(memory)
                 life.handles.append(handles)
+                self._csv.writerow((name, life.number, f"{self.now:.6g}", f"{memory:.6g}", handles))
             elif life.ending == "ended":
                 life.ending = "died"
-                self.faults.append(f"{name} ended by itself with exit code {life.child.wait()}")
+                self.fault(f"{name} ended by itself with exit code {life.child.wait()}")
         self.rows.append(row)
 
     def run(self, seconds):
@@ -233,7 +244,7 @@ class Soak:
             if campaign is None and self.now > begin + 0.25 * seconds:
                 campaign = self.start_campaign()
         if campaign is None or campaign.wait(600.0) != 0:
-            self.faults.append(f"the campaign beside: {campaign and campaign.errors[-300:]}")
+            self.fault(f"the campaign beside: {campaign and campaign.errors[-300:]}")
         if self.watcher is not None:
             self.watcher.close()
         self.running["recorder"].child.end()
@@ -262,12 +273,7 @@ class Soak:
         return self.faults
 
     def write(self):
-        with (self.out / "soak.csv").open("w", newline="", encoding="utf-8") as file:
-            table = csv.writer(file)
-            table.writerow(("node", "life", "t [s]", "memory [MB]", "handles"))
-            for number, life in enumerate(self.lives):
-                for row in zip(life.times, life.memory, life.handles, strict=True):
-                    table.writerow((life.name, number, *(f"{value:.6g}" for value in row)))
+        self._table.close()
         slowest = max((seconds for _, seconds in self.recoveries), default=0.0)
         late = np.array([row[2] for row in self.rows])
         verdict = {
