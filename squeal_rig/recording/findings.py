@@ -109,7 +109,9 @@ class Recovery:
                 f" recorder of ours); {self.unread_bytes} bytes at the end hold nothing intact"
             )
         if self.uncounted:
-            told.append(f"{self.uncounted} files have lost the count of what they should hold: more may be missing")
+            told.append(
+                f"{self.uncounted} of the files have lost the count of what they should hold: more may be missing"
+            )
         if self.unproved:
             told.append(f"{self.unproved} of the messages have no checksum in the file: nothing vouches for them")
         if self.lost_records:

@@ -27,7 +27,7 @@ _OWN_COUNTS = {
     "refused_messages": "messages could not be recorded",
     "messages_lost_at_end": "messages were lost at the end, when the disk was full",
     "recovered_lost_messages": "messages were missing already when it was recovered",
-    "recovered_uncounted_files": "files had lost the count of what they should hold when it was recovered",
+    "recovered_uncounted_files": "of its files had lost the count of what they should hold when it was recovered",
 }
 _OUT_OF_ORDER = 10**9  # [ns]
 

@@ -153,7 +153,7 @@ def test_nothing_is_called_complete_where_the_count_is_lost(original, tmp_path, 
     assert report.chunks == len(original.places) - lost
     assert (len(got) < len(original.sent)) == (lost > 0)
     assert (report.complete, report.lost) == (False, 0)
-    assert report.sentences()[-1] == "1 files have lost the count of what they should hold: more may be missing"
+    assert report.sentences()[-1] == "1 of the files have lost the count of what they should hold: more may be missing"
     assert "count of what they should hold" in verify(tmp_path / "out").findings[0].sentence
 
 

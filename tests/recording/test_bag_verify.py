@@ -195,7 +195,7 @@ def test_a_channel_that_is_missing_from_the_index_is_an_error(bag):
         ("lost_messages", "650 messages were lost on the way to the recorder"),
         ("messages_lost_at_end", "650 messages were lost at the end"),
         ("recovered_lost_messages", "650 messages were missing already when it was recovered"),
-        ("recovered_uncounted_files", "650 files had lost the count of what they should hold when it was recovered"),
+        ("recovered_uncounted_files", "650 of its files had lost the count of what they should hold"),
     ],
 )
 def test_what_a_bag_says_of_its_losses_is_told(tmp_path, key, words):

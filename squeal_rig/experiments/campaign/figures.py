@@ -178,6 +178,10 @@ def root_locus(results: Results) -> Picture | None:
             results.points["predicted_growth"][unstable], results.points["predicted_frequency"][unstable],
             "x", color="#b2182b", label="eigenvalue",
         )  # fmt: skip
+        axis.axvline(0.0, color="0.4", ls=":", lw=1.2)
+        low, high = axis.get_ylim()
+        spare = 0.5 * max(0.0, 0.01 * high - (high - low))  # of few points that agree the differences would fill it
+        axis.set_ylim(low - spare, high + spare)
         axis.set_xlabel("growth [1/s]")
         axis.set_ylabel("frequency [Hz]")
         axis.legend()
@@ -229,7 +233,7 @@ def hysteresis_figure(results: Results, place: int, borders: tuple[float, float]
                 )
         axis.set_xlabel(parameter + unit_of(parameter))
         axis.set_ylabel("level [dB re 1 um]")
-        axis.legend(loc="center")
+        axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
 
     caption = f"Level on the ramp of {parameter}, out and back, drawn from {_LOWEST:g} dB up."
     return _wide(f"hysteresis_{place}_{parameter}", caption, draw, 3.6)
