@@ -16,6 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from squeal_rig.configuration.files import config_directory
+from squeal_rig.graph import qos
+from squeal_rig.instruments.channels import DAQ_RECORD, FRICTION_SAMPLE_RECORD, TRUTH_RECORD
+from squeal_rig.instruments.settings import RigSettings
 from squeal_rig.instruments.warm_up import warm_up
 from squeal_rig.recording import samples_from_cdr
 from tests.graph.domains import private_domain
@@ -39,6 +42,9 @@ _KILLS = 20  # in a run of any length
 _RECOVERY = 90.0  # s from the start of a node to its health, on a loaded machine
 _PERIOD = 1.0  # s between two looks
 _BLOCK = 0.01  # s
+# What a node's queues of blocks hold at most [MB]: of the rig, the truth and the friction of each sample.
+_SAMPLE = DAQ_RECORD.itemsize + TRUTH_RECORD.itemsize + FRICTION_SAMPLE_RECORD.itemsize
+_QUEUES = qos.BLOCKS_IN.depth * RigSettings().block_size * _SAMPLE / 2**20
 
 
 @dataclass
@@ -267,7 +273,8 @@ class Soak:
         for life in self.lives:
             for kind, values in (("memory", life.memory), ("handles", life.handles)):
                 if len(life.times) >= 60:
-                    self.faults += faults_of(f"{life.name} from {life.begin:.0f} s", kind, life.times, values)
+                    queues = _QUEUES if kind == "memory" else 0.0
+                    self.faults += faults_of(f"{life.name} from {life.begin:.0f} s", kind, life.times, values, queues)
         self.bags.check(self.running["recorder"].bag, killed=False)
         self.faults += self.bags.faults()
         return self.faults

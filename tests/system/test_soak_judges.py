@@ -26,6 +26,21 @@ def test_noise_peaks_and_a_rise_at_the_begin_are_no_leak(noise):
     assert faults_of("rig", "memory", _TIMES, values) == []
 
 
+def test_queues_may_fill_once_and_no_more(noise):
+    steps = 100.0 + 0.3 * noise + 12.0 * (_TIMES > 700.0) + 9.0 * (_TIMES > 1100.0)
+    assert faults_of("recorder", "memory", _TIMES, steps, queues=36.0) == []
+    assert faults_of("recorder", "memory", _TIMES, steps) != []
+    (sentence,) = faults_of("recorder", "memory", _TIMES, 100.0 + 60.0 * (_TIMES > 1100.0) + 0.3 * noise, queues=36.0)
+    assert sentence.startswith("recorder: memory grew by 6")
+
+
+@pytest.mark.parametrize("period", [1.0, 60.0])
+def test_a_leak_within_what_queues_hold_is_found(noise, period):
+    leaking = 100.0 + 0.3 * noise + 0.015 * period * (_TIMES // period)
+    (sentence,) = faults_of("recorder", "memory", _TIMES, leaking, queues=36.0)
+    assert sentence.startswith(("recorder: memory grew all the time, by 1", "recorder: memory grew all the time, by 2"))
+
+
 def test_a_handle_kept_by_every_minute_is_found():
     assert growth(_TIMES, 20.0 + _TIMES // 60.0) > TOLERATED["handles"] - 1.0
     assert faults_of("rig", "handles", _TIMES, 20.0 + _TIMES // 30.0) != []
