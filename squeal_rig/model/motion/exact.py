@@ -204,6 +204,26 @@ def first_not_passed(state: Vector, flow: Vector, kind: float) -> int:
     return k
 
 
+@inlined_kernel
+def _is_clear(path: Vector, low: float, high: float, near: float, fastest: float) -> bool:
+    """Whether all states of a path are far enough from the edge, near, and slow enough for constant friction."""
+    lowest = min(path[1], path[5], path[9], path[13])
+    highest = max(path[1], path[5], path[9], path[13])
+    widest = max(abs(path[0]), abs(path[4]), abs(path[8]), abs(path[12]))
+    speed = max(path[2], path[6], path[10], path[14])
+    return bool(low < lowest and highest < high and widest < near and speed < fastest)
+
+
+@inlined_kernel
+def _write_sample(
+    out: Vector, n: int, x: float, y: float, vx: float, vy: float, edge: float, stiffness: float, mu: float
+) -> None:
+    """Put the sample x, y, vx, vy, N, F_t of a pad with constant friction into row n."""
+    normal = stiffness * max(0.0, edge - y)
+    out[n, 0], out[n, 1], out[n, 2], out[n, 3] = x, y, vx, vy
+    out[n, 4], out[n, 5] = normal, mu * normal
+
+
 @fused_kernel
 def glide(
     state: Vector,
@@ -233,14 +253,23 @@ def glide(
     before = int(flow[STEPS])
     k = first_not_passed(state, flow, MAPS)
     flow[PASSED], flow[KIND] = ALL_PASSED, MAPS
-    for n in range(first, steps):
-        if k == ALL_PASSED or (n + before) & (AHEAD - 1) == 0:
+    n = first
+    while n < steps:
+        whole = (n + before) & (AHEAD - 1) == 0
+        if k == ALL_PASSED or whole:
             evaluate_all(m, x, y, vx, vy, path)
             k = 0
+            # All of it at once, where nothing has to be looked at more closely: what is done nearly always.
+            if whole and clear and substeps == 1 and n + AHEAD <= steps and _is_clear(path, low, high, near, fastest):
+                _write_sample(out, n, x, y, vx, vy, edge, stiffness, mu)
+                for i in range(1, AHEAD):
+                    o = 4 * i
+                    _write_sample(out, n + i, path[o], path[o + 1], path[o + 2], path[o + 3], edge, stiffness, mu)
+                x, y, vx, vy = path[0], path[1], path[2], path[3]
+                n, sample, k = n + AHEAD, sample + AHEAD, ALL_PASSED
+                continue
         if past_sample == 0:
-            normal = stiffness * max(0.0, edge - y)
-            out[sample, 0], out[sample, 1], out[sample, 2], out[sample, 3] = x, y, vx, vy
-            out[sample, 4], out[sample, 5] = normal, mu * normal
+            _write_sample(out, sample, x, y, vx, vy, edge, stiffness, mu)
         place = place_in_path(k)
         next_x, next_y, next_vx = path[place], path[place + 1], path[place + 2]
         next_clear = low < next_y < high and abs(next_x) < near and next_vx < fastest
@@ -252,7 +281,7 @@ def glide(
                 return n
         clear = next_clear
         x, y, vx, vy = next_x, next_y, next_vx, path[place + 3]
-        k, past_sample = k + 4, past_sample + 1
+        n, k, past_sample = n + 1, k + 4, past_sample + 1
         if past_sample == substeps:
             sample, past_sample = sample + 1, 0
     state[0], state[1], state[2], state[3] = x, y, vx, vy
