@@ -6,14 +6,27 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 
 from squeal_rig.recording import Bag
+from squeal_rig.recording.messages import decoder_of, statuses
 from squeal_rig.recording.recover import recover
 from squeal_rig.report.bag_info import sample_counts
 
 _SAMPLES_A_BLOCK = 512
+_HEALTH, _LAST_WORDS = "/diagnostics", 5_000_000_000  # [ns]; each node tells its health once a second
 
 
 def _is_patient():
     os.nice(19)
+
+
+def said_last(bag):
+    """How many messages its recorder said to be lost, as the bag has its health: what a killed one leaves of that."""
+    lost = 0
+    if _HEALTH in bag.topics:
+        decode = decoder_of(bag.topics[_HEALTH].schema)
+        for message in bag.messages([_HEALTH], start=bag.end_time - _LAST_WORDS):
+            told = dict(statuses(decode(message.data))).get("recorder")
+            lost = lost if told is None else int(told[2].get("lost messages", lost))
+    return lost
 
 
 def faults_of_bag(path, killed):
@@ -23,7 +36,7 @@ def faults_of_bag(path, killed):
         source = path.with_name(f"{path.name}_recovered")
         recover(path, source)
     bag = Bag(source)
-    told = int(bag.custom_data.get("lost_messages", 0)) * _SAMPLES_A_BLOCK
+    told = (said_last(bag) if killed else int(bag.custom_data.get("lost_messages", 0))) * _SAMPLES_A_BLOCK
     for topic, count in sample_counts(bag).items():
         if count.damaged:
             faults.append(f"{source.name}: {count.damaged} damaged blocks of {topic}")
