@@ -41,6 +41,7 @@ _OPERATING_POINT = {"preload": 50.0, "belt_speed": 1.0}
 _KILLS = 20  # in a run of any length
 _RECOVERY = 90.0  # s from the start of a node to its health, on a loaded machine
 _PERIOD = 1.0  # s between two looks
+_PIECES = 240  # of the run, of which the latency is drawn
 _WATCHDOG = "emergency stop from outside: the rig's process has been silent"
 _BLOCK = 0.01  # s
 # What a node's queues of blocks hold at most [MB]: of the rig, the truth and the friction of each sample.
@@ -318,8 +319,11 @@ class Soak:
                 axes[0].plot(life.times, life.memory, color=color, label=label)
                 axes[1].plot(life.times, life.handles, color=color, label=label)
         rows = np.array(self.rows)
-        axes[2].semilogy(rows[:, 0], rows[:, 1], label="median")
-        axes[2].semilogy(rows[:, 0], rows[:, 2], label="p99")
+        pieces = np.array_split(rows[np.isfinite(rows).all(axis=1)], min(len(rows), _PIECES))
+        pieces = [piece for piece in pieces if len(piece)]
+        times = [piece[:, 0].mean() for piece in pieces]
+        axes[2].semilogy(times, [np.median(piece[:, 1]) for piece in pieces], label="median")
+        axes[2].semilogy(times, [piece[:, 2].max() for piece in pieces], label="p99 of the worst second")
         axes[3].plot(rows[:, 0], rows[:, 3])
         labels = ("memory [MB]", "open files", "block to observer,\nlatency [ms]", "samples the observer\nmissed")
         for axis, label in zip(axes, labels, strict=True):
