@@ -163,7 +163,7 @@ class Motion:
         for start in range(0, samples, _PIECE):
             part = piece[: samples - start]
             self._advance(part, start)
-            _file(part, out[:, start:], extremes)
+            _file(part, out, start, extremes)
         return float(extremes[0]), float(extremes[1])
 
     def _advance(self, out: Vector, before: int) -> None:
@@ -288,14 +288,17 @@ def _room(numbers: int) -> Vector:
 
 
 @reduction_kernel
-def _file(part: Vector, out: Vector, extremes: Vector) -> None:
-    """Put the states of samples (m, 6), still in the cache, into the first m columns of `out` (4, n), and widen
-    `extremes`: the largest vx, and the largest |x| or |y|.
+def _file(part: Vector, out: Vector, first: int, extremes: Vector) -> None:
+    """Put the states of samples (m, 6), still in the cache, into m columns of `out` (4, n) from number `first` on, and
+    widen `extremes`: the largest vx, and the largest |x| or |y|.
+
+    Not into a slice of `out`: only a slice that is the whole is contiguous, and numba would keep code for both.
     """
     fastest, largest = extremes[0], extremes[1]
     for i in range(part.shape[0]):
         x, y, vx = part[i, X], part[i, Y], part[i, VX]
-        out[X, i], out[Y, i], out[VX, i], out[VY, i] = x, y, vx, part[i, VY]
+        n = first + i
+        out[X, n], out[Y, n], out[VX, n], out[VY, n] = x, y, vx, part[i, VY]
         fastest, largest = max(fastest, vx), max(largest, abs(x), abs(y))
     extremes[0], extremes[1] = fastest, largest
 
