@@ -1,8 +1,13 @@
-"""What the long run is judged by finds a leak, and takes noise for none."""
+"""What the long run is judged by finds a leak and a loss that nobody told, and takes noise for none."""
 
 import numpy as np
 import pytest
 
+from squeal_rig.recording import BagWriter
+from squeal_rig.recording.cdr import diagnostics_message
+from tests.messages import schema_of
+from tests.recording.bag_making import START, block_cdr
+from tests.soak.bags import faults_of_bag
 from tests.soak.slopes import TOLERATED, faults_of, growth
 
 _TIMES = np.arange(0.0, 1800.0)
@@ -49,3 +54,34 @@ def test_a_handle_kept_by_every_minute_is_found():
 def test_a_short_life_is_not_judged():
     assert growth(_TIMES[:8], _TIMES[:8]) == 0.0
     assert growth(_TIMES[:300], _TIMES[:300]) == 0.0
+
+
+def bag_of_a_killed_recorder(directory, lost):
+    """Two seconds that lack 20 blocks of 64 samples; `lost`: the messages that each health said to be lost."""
+    cloud, health = schema_of("sensor_msgs/msg/PointCloud2"), schema_of("diagnostic_msgs/msg/DiagnosticArray")
+    writer = BagWriter(directory)
+    samples = writer.add_topic("/daq/samples", cloud.type_name, schema=cloud)
+    diagnostics = writer.add_topic("/diagnostics", health.type_name, schema=health)
+    for number in (*range(100), *range(120, 200)):
+        stamp = START + number * 10_000_000
+        writer.write(samples, block_cdr(number, stamp), stamp, stamp)
+    for second, count in enumerate(lost):
+        stamp = START + second * 10**9
+        for name, values in (("recorder", {"lost messages": str(count)}), ("rig", {"lost messages": "9"})):
+            writer.write(diagnostics, diagnostics_message(stamp, "", [(1, name, "", values)]), stamp, stamp)
+    writer.flush()
+    return directory
+
+
+@pytest.mark.parametrize(("lost", "told"), [((), 0), ((0, 2), 2 * 512), ((3, 1), 512)])
+def test_samples_that_a_killed_recorder_said_nothing_of_are_a_fault(tmp_path, lost, told):
+    bag = bag_of_a_killed_recorder(tmp_path / "bag", lost)
+    (sentence,) = faults_of_bag(bag, killed=True)
+    assert sentence == f"bag_recovered: 1280 samples of /daq/samples are missing, {told} were reported"
+    assert bag.exists()
+
+
+def test_samples_that_a_killed_recorder_said_to_be_lost_are_none_and_its_bag_goes(tmp_path):
+    bag = bag_of_a_killed_recorder(tmp_path / "bag", (0, 3))
+    assert faults_of_bag(bag, killed=True) == []
+    assert list(tmp_path.iterdir()) == []
