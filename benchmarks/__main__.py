@@ -160,10 +160,10 @@ def draw(points: list[Point], runs: list[ManyRuns]) -> None:
     axes.legend(fontsize=7)
     figure.savefig(DOCS / "work_precision.png", dpi=150, metadata={"Software": None})
     figure, axes = plt.subplots(figsize=(6.0, 4.0), layout="constrained")
-    for threads in sorted({run.threads for run in runs}):
-        own = [run for run in runs if run.threads == threads]
+    for threads, duration in sorted({(run.threads, run.duration) for run in runs}):
+        own = [run for run in runs if (run.threads, run.duration) == (threads, duration)]
         speeds = [run.points * run.duration / run.seconds for run in own]
-        axes.semilogx([run.points for run in own], speeds, "o-", label=f"{threads} threads")
+        axes.semilogx([run.points for run in own], speeds, "o-", label=f"threads: {threads}, each {duration:g} s")
     axes.set_xlabel("operating points")
     axes.set_ylabel("simulated s per wall s")
     axes.set_ylim(bottom=0.0)
