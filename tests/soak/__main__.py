@@ -133,9 +133,10 @@ class Soak:
     def recover(self, life):
         """Wait until a node says that it is well, and the rig moves; what docs/supervisor.md says is done for that."""
         begin = time.monotonic()
-        while time.monotonic() - begin < _RECOVERY and life.child.running:
+        while time.monotonic() - begin < _RECOVERY and life.ending != "died":
             self.observer.spin(0.2)
             self.look()
+            life = self.running[life.name]  # another one, where its watchdog has ended the rig meanwhile
             told = health_of(self.health, life.name)
             if told is not None and self.is_stopped():
                 self.release()
@@ -201,7 +202,8 @@ class Soak:
                 what = self.observer.trigger("reset")
         except AssertionError as error:
             what = f"no answer: {error}"
-            self.fault(f"the rig did not answer at {self.now:.0f} s: {error}")
+            if self.running["rig"].child.running:  # else `look` tells why it has ended
+                self.fault(f"the rig did not answer: {error}")
         self.events.append((self.now, str(what)))
 
     def look(self):
