@@ -1,4 +1,4 @@
-"""How every node starts, spins and ends: exit code 0 on SIGINT and SIGTERM, 2 on bad input, one sentence.
+"""How every node starts, spins and ends: exit code 0 on SIGINT, SIGTERM and SIGHUP, 2 on bad input, one sentence.
 
 Nothing from outside ends a node: rclpy lets an exception of a callback, and its own on messages, requests and clocks
 that it cannot take, through to whoever spins.

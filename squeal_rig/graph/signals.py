@@ -1,4 +1,4 @@
-"""SIGINT and SIGTERM from before the first large import until after the last line of Python.
+"""Signals that end a process, from before the first large import until after the last line of Python.
 
 Nothing but the standard library is imported here: a node looks after its signals first, then imports for half a second.
 """
@@ -10,15 +10,17 @@ import signal
 import threading
 from types import FrameType
 
-ENDING = (signal.SIGINT, signal.SIGTERM)
+#: SIGHUP comes as a terminal or connection closes: a rig that it killed would go on with its last set points.
+ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 _asked = False
 
 
 def watch() -> None:
-    """Take note of SIGINT and SIGTERM from now on, also of those that whoever started us has held back."""
+    """Take note of them from now on, also of those that whoever started us has held back; nohup stays in force."""
     for number in ENDING:
-        signal.signal(number, _on_signal)
+        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, _on_signal)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
 
 

@@ -34,7 +34,8 @@ class Outside:
 
     def __init__(self, command: Sequence[str], driver: str, settings: Mapping[str, Any], limit: float) -> None:
         self._command = list(command)
-        self._first = json.dumps({"driver": driver, "settings": dict(settings), "limit": limit}).encode() + b"\n"
+        first = {"rig": os.getpid(), "driver": driver, "settings": dict(settings), "limit": limit}
+        self._first = json.dumps(first).encode() + b"\n"
         self._armed, self._answer = False, b""
         self.restarts = 0
         self._started = 0.0

@@ -6,7 +6,6 @@ import json
 import os
 import select
 import signal
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -20,19 +19,20 @@ from squeal_rig.safety.outside import ARMED, DISARMED, FROM_OUTSIDE, LOADED, NOT
 _LOOK = 0.02
 # A unit that does not accept the safe command is asked again, for so long [s]; later a rig may have been started anew.
 _TRIES_FOR, _TRIES_EVERY = 10.0, 0.5
+_WAIT_FOR_READER = 1.0
 
 
 def watch() -> int:
     """Watch the process that has started us, by what it writes to our standard input; returns the exit code."""
-    parent = os.getppid()
-    try:
-        rig = os.pidfd_open(parent)  # a number of a process may be given to another one later
-    except OSError:
-        return 0
     line = _first_line()
     if not line:
         return 0
     given = json.loads(line)
+    rig: int | None = None
+    with suppress(OSError):
+        rig = os.pidfd_open(given["rig"])  # a number of a process may be given to another one later
+    if os.getppid() != given["rig"]:  # it has ended already: its number may be another's by now
+        rig = None
     make_safe = _Loading(given["driver"], given["settings"])
     clock, armed, heard = AwakeTime(time.monotonic(), 5.0 * _LOOK), False, 0.0
     while True:
@@ -79,8 +79,7 @@ class _Loading:
         if driver:
             self._import(driver, values)
         if self._error is not None:
-            sys.stderr.write(f"the watchdog cannot load the driver {driver!r}: {described_error(self._error)}\n")
-            sys.stderr.flush()
+            _write(f"the watchdog cannot load the driver {driver!r}: {described_error(self._error)}")
         with suppress(OSError):
             os.write(1, LOADED if self._error is None else NOT_LOADED)
 
@@ -102,10 +101,11 @@ class _Loading:
             self._call()
 
 
-def _act(told: str, rig: int, make_safe: _Loading) -> None:
+def _act(told: str, rig: int | None, make_safe: _Loading) -> None:
     """Kill first: a process that is still there would command its set points again."""
-    with suppress(OSError):
-        signal.pidfd_send_signal(rig, signal.SIGKILL)
+    if rig is not None:
+        with suppress(OSError):
+            signal.pidfd_send_signal(rig, signal.SIGKILL)
     done = "its driver cannot be made safe from outside"
     if make_safe.known:
         done = _made_safe(make_safe, told)
@@ -130,8 +130,19 @@ def _made_safe(make_safe: _Loading, told: str) -> str:
 
 
 def _tell(told: str, done: str) -> None:
-    sys.stderr.write(f"emergency stop from outside: {told}; {done}\n")
-    sys.stderr.flush()
+    _write(f"emergency stop from outside: {told}; {done}")
+
+
+def _write(sentence: str) -> None:
+    """Write to standard error, whose reader may have gone or stand still: neither may keep the rig from its stop."""
+
+    def write() -> None:
+        with suppress(OSError):
+            os.write(2, f"{sentence}\n".encode())
+
+    thread = threading.Thread(target=write, daemon=True)
+    thread.start()
+    thread.join(_WAIT_FOR_READER)
 
 
 def described_error(error: Exception) -> str:

@@ -28,7 +28,7 @@ def node_command(name: str, ros_arguments: Sequence[object], session: bool = Fal
 
 @contextmanager
 def signals_held() -> Iterator[None]:
-    """Hold SIGINT and SIGTERM back, here and in what is started meanwhile: a node takes them once it can."""
+    """Hold back what ends a process, here and in what is started meanwhile: a node takes them once it can."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, signals.ENDING)
     try:
         yield

@@ -1,5 +1,7 @@
 """The process beside the rig, watching a process of ours: whom it kills, and whom it leaves alone."""
 
+import json
+import os
 import signal
 import subprocess
 import sys
@@ -69,6 +71,61 @@ def test_who_is_silent_or_dies_while_it_drives_a_rig_is_stopped_from_outside(tmp
     assert said in text
     assert ("emergency stop from outside" in text) == bool(said)
     assert "Traceback" not in text
+
+
+# Asks a driver that refuses once, while nobody reads standard error any more, or who should stands still.
+_REFUSED_ONCE = """
+import os, sys
+from squeal_rig.safety import watching
+
+answers = [ConnectionRefusedError("held by another"), None]
+
+def make_safe():
+    answer = answers.pop(0)
+    if answer is not None:
+        raise answer
+
+if sys.argv[1] == "full":
+    os.set_blocking(2, False)
+    try:
+        while True:
+            os.write(2, b"." * 65536)
+    except BlockingIOError:
+        os.set_blocking(2, True)
+print(watching._made_safe(make_safe, "a test"), len(answers))
+"""
+
+
+@pytest.mark.parametrize("reader", ["gone", "full"])
+def test_the_safe_command_is_asked_for_again_though_nobody_reads_that_it_was_refused(reader):
+    reading, writing = os.pipe()
+    if reader == "gone":
+        os.close(reading)
+    try:
+        run = subprocess.run(
+            [sys.executable, "-c", _REFUSED_ONCE, reader],
+            check=True,
+            stdout=subprocess.PIPE,
+            stderr=writing,
+            timeout=60.0,
+            text=True,
+        )
+    finally:
+        os.close(writing)
+        if reader == "full":
+            os.close(reading)
+    assert run.stdout.startswith("the driver has accepted the safe command after ")
+    assert run.stdout.endswith(" 0\n")
+
+
+def test_a_watchdog_whose_rig_has_ended_before_it_ran_kills_nobody():
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    first = json.dumps({"rig": gone.pid, "driver": "", "settings": {}, "limit": 1.0})
+    run = subprocess.run(
+        [sys.executable, _START, "watchdog"], check=True, input=f"{first}\nA".encode(), capture_output=True, timeout=60
+    )
+    assert b"the rig's process has ended while it drove the rig" in run.stderr  # and we, its parent, are still here
 
 
 def test_a_watchdog_that_cannot_load_the_driver_says_so_and_is_never_ready(capfd):
