@@ -111,8 +111,8 @@ class RecorderNode(Node):
             action()
         except DiskError as error:
             self.get_logger().error(f"recording stopped: {error}")
-            self._end(f"stopped: {error}")
             self._session.fault = str(error)
+            self._end(f"stopped: {error}")
         except RecordingError as error:
             self.get_logger().warning(str(error))
 

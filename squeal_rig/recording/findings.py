@@ -68,8 +68,9 @@ class Recovery:
     the numbering or the summary shows to be missing; `lost_seconds` [s] between intact pieces with damage in between;
     `closed` whether every file had its ending; `uncounted` files whose summary should say how much they hold and
     cannot be read; `unread_bytes` behind the last intact piece of files without one;
-    `files_within` other MCAP files found inside; `missing_files` names of files that the folder lacks; `unended`
-    whether the file is not there in which a recorder of ours says how the recording ended.
+    `files_within` other MCAP files found inside; `missing_files` names of files that the folder lacks, `empty_files` of
+    those that are there without a byte; `unended` whether the file is not there in which a recorder of ours says how
+    the recording ended.
     """
 
     messages: int = 0
@@ -85,13 +86,15 @@ class Recovery:
     lost_records: int = 0
     files_within: int = 0
     missing_files: list[str] = field(default_factory=list)
+    empty_files: list[str] = field(default_factory=list)
     unended: bool = False
 
     @property
     def complete(self) -> bool:
         """Whether nothing is known to be lost."""
-        left_out = self.refused or self.lost_records or self.files_within or self.missing_files or self.unended
-        return self.closed and not (self.lost or self.uncounted or self.damaged_chunks or self.unread_bytes or left_out)
+        left_out = self.refused or self.lost_records or self.files_within or self.missing_files or self.empty_files
+        damaged = self.lost or self.uncounted or self.damaged_chunks or self.unread_bytes or self.unended
+        return self.closed and not (damaged or left_out)
 
     def sentences(self) -> list[str]:
         """What to tell the user."""
@@ -118,6 +121,9 @@ class Recovery:
             told.append(f"{self.lost_records} damaged metadata records were left out")
         if self.files_within:
             told.append(f"{self.files_within} MCAP files inside the files (attached, or in a message) were left out")
+        if self.empty_files:
+            few = ", ".join(self.empty_files[:_MAX_NAMED])
+            told.append(f"{len(self.empty_files)} files of the bag are empty ({few}): what was in them is lost")
         if self.missing_files:
             few = ", ".join(self.missing_files[:_MAX_NAMED])
             told.append(f"{len(self.missing_files)} files of the bag are not there ({few}): what was in them is lost")

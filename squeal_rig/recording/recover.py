@@ -31,7 +31,11 @@ def recover(source: str | Path, directory: str | Path) -> Recovery:
     rescue = _Rescue(Path(directory))
     try:
         for path in paths:
-            rescue.take_file(path)
+            if len(paths) > 1 and path.stat().st_size == 0:  # as a power failure leaves the last one: no bar to others
+                rescue.report.empty_files.append(path.name)
+                rescue.report.closed = False
+            else:
+                rescue.take_file(path)
         report = rescue.report
         if Path(source).is_dir():
             report.missing_files = missing_files(Path(source))

@@ -235,9 +235,11 @@ class BagWriter:
             self._check_open()
             self._write_chunk()
             following = self._open_file(len(self._closed_files) + 1)  # first: if it fails, the old one goes on
-            self._finish_file()
-            self._file = following
-            self._file_start = None
+            try:
+                self._finish_file()
+            finally:  # one that the disk refused to finish is closed all the same: the bag ends in the next
+                self._file = following
+                self._file_start = None
 
     def close(self, ending: str) -> None:
         """Close the bag; `ending` says how the recording ended and is kept in custom_data as `ending`.
@@ -297,12 +299,14 @@ class BagWriter:
         return file
 
     def _finish_file(self) -> None:
-        described = self._metadata([*self._closed_files, self._file])
+        described = self._metadata([self._file])  # no other: what a split costs does not grow with the bag
         with suppress(DiskError):  # on a full disk the summary is worth more; finish tells if that fails
             values = {"serialized_metadata": metadata_yaml(described)}
             self._file.append_metadata("rosbag2", values, closing=True)
-        self._file.finish()
-        self._closed_files.append(self._file)
+        try:
+            self._file.finish()
+        finally:
+            self._closed_files.append(self._file)
 
     def _split_if_due(self, log_time: int) -> None:
         duration = self._max_file_duration_ns

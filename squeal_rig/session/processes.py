@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from squeal_rig.errors import ExperimentError
@@ -106,4 +106,8 @@ def stop_all(nodes: Sequence[NodeProcess], writing: Path | None = None) -> dict[
 
 def _size(folder: Path | None) -> int:
     """Bytes of the files in a folder; 0 where there is none."""
-    return 0 if folder is None else sum(file.stat().st_size for file in folder.glob("*") if file.is_file())
+    size = 0
+    for file in () if folder is None else folder.glob("*"):
+        with suppress(FileNotFoundError):  # a draft that has just got its name
+            size += file.stat().st_size
+    return size

@@ -211,7 +211,8 @@ def _wanted_listeners(options: SessionOptions, nodes: int) -> dict[str, int]:
     wanted = {"daq/samples": nodes, "friction/windows": 1}  # all nodes but the rig, and ourselves
     if options.bag is not None:
         recorded = _recorded(options)
-        for name in ("friction/samples", "friction/windows", "friction/mu"):
+        wanted["daq/samples"] -= 1  # the recorder, which takes what it has been told to
+        for name in ("daq/samples", "friction/samples", "friction/windows", "friction/mu"):
             wanted[name] = wanted.get(name, 0) + len(matching_topics([f"/{name}"], recorded))
     return wanted
 

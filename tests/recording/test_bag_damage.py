@@ -176,6 +176,27 @@ def test_a_file_without_a_chunk_is_refused_in_a_sentence(content, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("place", [0, -1])
+def test_an_empty_file_keeps_no_other_of_its_folder_from_being_saved(tmp_path, place):
+    sent = write_bag(tmp_path / "run", max_file_size=100_000)
+    files = sorted((tmp_path / "run").glob("*.mcap"), key=lambda path: int(path.stem.split("_")[-1]))
+    files[place].write_bytes(b"")
+    report = recover(tmp_path / "run", tmp_path / "out")
+    got = messages_of(Bag(tmp_path / "out"))
+    assert 0 < len(got) < len(sent)
+    assert report.empty_files == [files[place].name]
+    assert not report.complete
+    assert f"1 files of the bag are empty ({files[place].name}): what was in them is lost" in report.sentences()
+    assert Bag(tmp_path / "out").custom_data["recovered_was_closed"] == "false"
+
+
+def test_a_folder_of_empty_files_is_refused_in_a_sentence(tmp_path):
+    for number in range(2):
+        (tmp_path / f"run_{number}.mcap").write_bytes(b"")
+    with pytest.raises(RecordingError, match="no intact chunk"):
+        recover(tmp_path, tmp_path.parent / "out")
+
+
 def test_all_files_of_a_folder_are_recovered_together(tmp_path):
     sent = write_bag(tmp_path / "run", max_file_size=100_000)
     files = sorted((tmp_path / "run").glob("*.mcap"), key=lambda path: int(path.stem.split("_")[-1]))

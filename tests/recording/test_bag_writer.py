@@ -14,6 +14,8 @@ from ruamel.yaml import YAML
 
 from squeal_rig.errors import DiskError, RecordingError
 from squeal_rig.recording import Bag, BagWriter, MessageSchema, QosProfile
+from squeal_rig.recording.bag_metadata import read_metadata
+from squeal_rig.recording.recover import recover
 from squeal_rig.recording.writer import new_directory
 
 T0 = 1_700_000_000_000_000_000
@@ -381,6 +383,55 @@ def test_a_last_chunk_that_does_not_fit_is_told_by_the_ending(tmp_path):
     bag = Bag(tmp_path / "run")
     assert bag.ending.startswith("stopped: the last 100 messages are lost: Cannot write to ")
     assert (bag.message_count, bag.custom_data["messages_lost_at_end"]) == (0, "100")
+
+
+UNFINISHED = """
+import resource, sys
+from squeal_rig.errors import DiskError
+from squeal_rig.recording.session import RecordingSession
+from squeal_rig.recording.settings import RecorderSettings
+from tests.messages import string_cdr
+session = RecordingSession(RecorderSettings(directory=sys.argv[1], compression="none"))
+session.start(1)
+topic = session.add_topic("/text", "std_msgs/msg/String", [])
+for number in range(100):
+    session.write(topic, string_cdr(f"{number:03d}" * 1000), number, number)
+session.flush()
+_, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+resource.setrlimit(resource.RLIMIT_FSIZE, (session.bytes_written + 50, hard))
+try:
+    session.split()
+except DiskError as error:
+    print(error)
+resource.setrlimit(resource.RLIMIT_FSIZE, (hard, hard))
+session.stop("stopped: the disk", {"lost_messages": "0"})
+"""
+
+
+@pytest.mark.skipif(not hasattr(resource, "RLIMIT_FSIZE"), reason="needs a limit on file sizes")
+def test_a_file_that_cannot_be_finished_ends_the_bag_in_the_next_one(tmp_path):
+    command = [sys.executable, "-c", UNFINISHED, str(tmp_path / "run")]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    assert run.stdout.startswith("Cannot write to ")
+    told = read_metadata(tmp_path / "run")
+    assert [(file.path, file.message_count) for file in told.files] == [("run_0.mcap", 100), ("run_1.mcap", 0)]
+    assert (told.custom_data["ending"], told.custom_data["lost_messages"]) == ("stopped: the disk", "0")
+    with pytest.raises(RecordingError, match=r"run_0.mcap was not closed: .* can be recovered"):
+        Bag(tmp_path / "run")
+    assert recover(tmp_path / "run", tmp_path / "out").messages == 100
+
+
+def test_a_file_of_a_split_bag_describes_itself(tmp_path):
+    with BagWriter(tmp_path / "run", max_file_duration=1.0) as writer:
+        handle = writer.add_topic("/raw", "far_away/msg/Thing", schema=MessageSchema("far_away/msg/Thing"))
+        for number in range(6):
+            writer.write(handle, bytes(100), number * 10**9, number * 10**9)
+    for number in range(6):
+        with open(tmp_path / "run" / f"run_{number}.mcap", "rb") as stream:
+            records = list(make_reader(stream).iter_metadata())
+        told = [record.metadata["serialized_metadata"] for record in records if record.name == "rosbag2"][-1]
+        assert [f"run_{other}.mcap" in told for other in range(6)] == [other == number for other in range(6)]
+        assert "message_count: 1" in told
 
 
 def test_bags_begun_in_one_second_have_folders_of_their_own(tmp_path, monkeypatch):

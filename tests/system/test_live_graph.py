@@ -136,6 +136,8 @@ def test_the_recorder_is_waited_for_on_what_it_records_of_the_estimator(tmp_path
     assert recorded == {"daq/samples": 6, "friction/samples": 0, "friction/windows": 2, "friction/mu": 0}
     config.write_text("{}\n")
     assert _wanted_listeners(SessionOptions(config, bag), 6)["friction/samples"] == 1
+    config.write_text("/**/recorder:\n  ros__parameters:\n    topics: [friction/windows]\n")
+    assert _wanted_listeners(SessionOptions(config, bag), 6)["daq/samples"] == 5  # all others
 
 
 def test_time_stands_still_where_no_rate_is_known_and_nobody_else_can_change_it(graph):
