@@ -18,6 +18,7 @@ _HEAD_TIMEOUT = 5.0  # a head that takes longer [s] is none
 # makes room for who comes: strangers keep nobody out.
 _MOST_CONNECTIONS, _MOST_HEADS = 32, 256
 _SEND_TIMEOUT = 30.0  # a client that takes nothing for so long [s] is left
+_LAST_WAIT = 1.0  # for a client to take what is left when its connection is closed [s]
 _PIECE = 64 * 1024
 _TOKEN_KEY = "token"
 
@@ -79,7 +80,7 @@ class Gate(ServerThread):
         except (OSError, asyncio.IncompleteReadError):
             pass  # one side is gone
         finally:
-            writer.close()
+            await _close(writer)
 
     def _close_oldest(self) -> None:
         oldest = next(iter(self._unjudged))
@@ -128,7 +129,7 @@ class Gate(ServerThread):
                 for way in ways:
                     way.cancel()
         finally:
-            behind_writer.close()
+            await _close(behind_writer)
 
     def _count_refusal(self, writer: asyncio.StreamWriter, reason: str) -> None:
         """Count and log it, one line a second at most."""
@@ -151,6 +152,15 @@ def _shown_token(target: str) -> str:
         return next(iter(parse_qs(query).get(_TOKEN_KEY, [])), "")
     except ValueError:
         return ""
+
+
+async def _close(writer: asyncio.StreamWriter) -> None:
+    """Close a connection, by force where the other side does not take what is left: its socket would stay with us."""
+    writer.close()
+    try:
+        await asyncio.wait_for(writer.wait_closed(), _LAST_WAIT)
+    except (OSError, asyncio.TimeoutError):
+        writer.transport.abort()
 
 
 async def _pipe(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

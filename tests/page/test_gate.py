@@ -1,6 +1,8 @@
 """The gate before a server that checks nothing itself: who passes, and what is passed on."""
 
 import asyncio
+import socket
+from pathlib import Path
 
 import pytest
 
@@ -139,6 +141,42 @@ def test_who_comes_takes_the_place_of_the_oldest_that_shows_no_head(monkeypatch)
     answer, ended, gate, log = asyncio.run(among_strangers(5))
     assert b" 101 " in answer
     assert (ended, gate.refused, len(log)) == (1, 1, 1)
+
+
+async def open_sockets_after_one_that_takes_nothing():
+    """Files of this process before a client that never reads what a server behind the gate pours out, and after it."""
+
+    async def pour(reader, writer):
+        try:
+            while True:
+                writer.write(bytes(1 << 20))
+                await writer.drain()
+        except OSError:
+            writer.close()
+
+    server = await asyncio.start_server(pour, "127.0.0.1", 0)
+    gate = Gate(Access("127.0.0.1", TOKEN), server.sockets[0].getsockname(), [].append)
+    gate.start("127.0.0.1", 0)
+    files = Path("/proc/self/fd")
+    try:
+        before = len(list(files.iterdir()))
+        with socket.create_connection(("127.0.0.1", gate.port)) as client:
+            client.sendall(head(Authorization=f"Bearer {TOKEN}").encode())
+            for _ in range(600):
+                await asyncio.sleep(0.1)
+                now = len(list(files.iterdir()))
+                if gate.connections == 0 and now == before + 1:  # the client's own
+                    break
+        return before + 1, now
+    finally:
+        await asyncio.to_thread(gate.close)
+        server.close()
+
+
+def test_a_client_that_takes_nothing_leaves_no_socket_behind(monkeypatch):
+    monkeypatch.setattr(gate_module, "_SEND_TIMEOUT", 0.3)
+    before, after = asyncio.run(open_sockets_after_one_that_takes_nothing())
+    assert after == before
 
 
 def test_a_token_with_a_plus_is_taken_from_the_address_as_it_is():
