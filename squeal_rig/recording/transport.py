@@ -13,6 +13,8 @@ from .replay import ReplayClock, is_latched, last_before
 
 # The last stretch before a message is due is spun: a sleeping thread wakes up to some 0.1 ms late.
 _SPIN = 0.0003
+# A turn of a loop takes at least so long [s]: a few messages are not played thousands of times a second.
+_SHORTEST_TURN = 0.1
 
 
 class Transport:
@@ -114,15 +116,23 @@ class Transport:
         """Call `publish` with every message when it is due, and `tick` with the recorded time before it.
 
         `tick` returns after how long [s] it wants to be called again at the latest. This returns at the end of the bag,
-        or once stopped. Raises RecordingError when the bag is damaged.
+        or once stopped. Raises RecordingError when the bag is damaged, or holds nothing that a loop could repeat.
         """
         position = self._start
         while not self._stopping:
+            begun, published = time.monotonic(), self.published
             target = self._play_from(position, publish, tick)
             if target is None and (not self.loop or self._stopping):
                 return
             if target is None:
+                if position == self._start and self.published == published:
+                    raise RecordingError(
+                        "The bag has no message to play from start_offset on: a loop would repeat nothing."
+                    )
                 self.loops += 1
+                with self._changed:
+                    left = begun + _SHORTEST_TURN - time.monotonic()
+                    self._changed.wait_for(lambda: self._stopping or self._target is not None, left)
             position = self._start if target is None else target
 
     def _play_from(

@@ -150,6 +150,22 @@ def test_a_start_within_the_bag_begins_with_the_latched_values(bag):
     assert player.numbers() == list(range(50, 100))
 
 
+def test_a_loop_over_nothing_ends_with_a_sentence(bag):
+    played = []
+    transport = Transport(Bag(bag), ("/rig/description",), 1.0, 50e6, start=0.5)
+    transport.loop = True
+    with pytest.raises(RecordingError, match="a loop would repeat nothing"):
+        transport.run(played.append, lambda _: 0.01)
+    assert [message.topic for message in played] == ["/rig/description"]  # what was latched before
+
+
+def test_a_loop_over_one_message_does_not_flood(bag):
+    with Player(bag, topics=("/rig/description",), rate=100.0, loop=True) as player:
+        player.wait(4)
+    times = [time for _, time in player.played]
+    assert min(late - early for early, late in pairwise(times)) > 0.05
+
+
 def test_a_loop_begins_again_at_the_start(bag):
     with Player(bag, rate=100.0, start=0.9, loop=True) as player:
         player.wait(25)
