@@ -40,6 +40,8 @@ class RecorderNode(Node):
         self._session = RecordingSession(self._settings)
         self._squealing = False
         self._missed = 0
+        self._lost_before = 0, 0  # `_topics.lost` and `_missed` when the bag was begun
+        self._lost_of_last = 0
         self._blocks: dict[str, SessionTopic] = {}
         self._snapshot_due: float | None = None
         if self._settings.autostart:
@@ -125,6 +127,7 @@ class RecorderNode(Node):
 
     def _start(self) -> str:
         self._session.start(self._now())
+        self._lost_before = self._topics.lost, self._missed
         return self._session.state
 
     def _stop(self) -> str:
@@ -176,13 +179,17 @@ class RecorderNode(Node):
 
     @property
     def _lost(self) -> int:
-        """Messages that did not get here, as the middleware says or as the numbers of a topic's one publisher show.
+        """Messages that did not get here for the open bag, or for the last one.
 
-        Both may see the same ones, and neither sees all.
+        The middleware tells them, and the numbers of a topic's one publisher: both may see the same ones, neither all.
         """
-        return max(self._topics.lost, self._missed)
+        if not self._session.recording:
+            return self._lost_of_last
+        told, missed = self._lost_before
+        return max(self._topics.lost - told, self._missed - missed)
 
     def _end(self, ending: str) -> None:
+        self._lost_of_last = self._lost
         try:
             self._session.stop(ending, {"lost_messages": str(self._lost), "finished_utc": _utc_now()})
         except RecordingError as error:

@@ -111,8 +111,19 @@ class RecordingSession:
             custom_data=provenance() | {"mode": s.mode} | self._facts,
         )
         self._bags += 1
+        for topic in self._topics.values():
+            topic.handle = None  # that of the bag before
         self._writer, self.directory, self.fault, self.refused = writer, directory, "", 0
         self._ring = MessageRing(s.snapshot_duration, round(s.snapshot_memory * _MB)) if self.snapshots else None
+        try:
+            self._begin(writer, now)
+        except RecordingError as error:
+            with suppress(RecordingError):  # the first error is the one to tell
+                self.stop(f"aborted: {error}")
+            raise
+
+    def _begin(self, writer: BagWriter, now: int) -> None:
+        """Put into a new bag what is known by now."""
         writer.keep_in_every_file(lambda: self._parameters.current(time.time_ns()))
         for name, values in self._parameters.current(now):
             writer.add_metadata(name, values)

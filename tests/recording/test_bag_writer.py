@@ -421,6 +421,43 @@ def test_a_file_that_cannot_be_finished_ends_the_bag_in_the_next_one(tmp_path):
     assert recover(tmp_path / "run", tmp_path / "out").messages == 100
 
 
+HALF_BEGUN = """
+import resource, sys
+from squeal_rig.errors import DiskError
+from squeal_rig.recording.session import RecordingSession
+from squeal_rig.recording.settings import RecorderSettings
+from tests.messages import string_cdr
+session = RecordingSession(RecorderSettings(directory=sys.argv[1]))
+session.start(1)
+begun = session.bytes_written
+topic = session.add_topic("/text", "std_msgs/msg/String", [])
+session.parameters_at_start("/rig", {"text": "x" * 2000}, 1, {})
+session.stop("complete")
+_, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+resource.setrlimit(resource.RLIMIT_FSIZE, (begun + 500, hard))
+try:
+    session.start(2)
+except DiskError as error:
+    print(error)
+resource.setrlimit(resource.RLIMIT_FSIZE, (hard, hard))
+print(session.state)
+session.write(topic, string_cdr("between"), 3, 3)
+session.start(4)
+session.write(topic, string_cdr("after"), 5, 5)
+session.stop("complete")
+"""
+
+
+@pytest.mark.skipif(not hasattr(resource, "RLIMIT_FSIZE"), reason="needs a limit on file sizes")
+def test_a_bag_that_cannot_be_begun_is_given_up_and_the_next_one_is_whole(tmp_path):
+    command = [sys.executable, "-c", HALF_BEGUN, str(tmp_path / "run")]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    sentence, state = run.stdout.splitlines()
+    assert sentence.startswith("Cannot write to ")
+    assert state == "not recording"
+    assert [message.log_time for message in Bag(tmp_path / "run_3").messages()] == [5]
+
+
 def test_a_file_of_a_split_bag_describes_itself(tmp_path):
     with BagWriter(tmp_path / "run", max_file_duration=1.0) as writer:
         handle = writer.add_topic("/raw", "far_away/msg/Thing", schema=MessageSchema("far_away/msg/Thing"))
