@@ -46,8 +46,9 @@ class TopicSubscriptions:
     """Follows the graph.
 
     `found` is called with (topic, type, offered QoS) for a topic that is new, and returns what takes its messages; it
-    may raise RecordingError, which puts the topic into `unknown` with the reason, until it is found otherwise. `lost`
-    counts messages that the middleware says it dropped.
+    may raise RecordingError, which puts the topic into `unknown` with the reason, until it is found otherwise. A
+    publisher that comes later with another type does so too: only what has the first type is taken. `lost` counts
+    messages that the middleware says it dropped.
     """
 
     def __init__(
@@ -84,10 +85,15 @@ class TopicSubscriptions:
                 continue
             publishers = self._node.get_publishers_info_by_topic(topic)
             offered = [offered_qos(end) for end in publishers]
+            types = sorted({end.topic_type for end in publishers})
             if offered and known is None:
-                self._begin(topic, sorted({end.topic_type for end in publishers}), offered)
+                self._begin(topic, types, offered)
             elif offered and known is not None:
                 self._adapt(topic, known, offered)
+                if types == [known.type_name]:
+                    self.unknown.pop(topic, None)
+                else:
+                    self._refuse(topic, f"it was {known.type_name} and is published as {', '.join(types)} now")
 
     def _begin(self, topic: str, types: Sequence[str], offered: list[QosProfile]) -> None:
         try:
@@ -97,12 +103,15 @@ class TopicSubscriptions:
             known = _Topic(types[0], self._found(topic, types[0], offered), requested_qos(offered))
             self._subscribe(topic, known)
         except (RecordingError, NameValidationException, rclpy_implementation.RCLError) as error:
-            if self.unknown.get(topic) != str(error):
-                self.unknown[topic] = str(error)
-                self._node.get_logger().warning(f"{topic} is not recorded: {error}")
+            self._refuse(topic, str(error))
             return
         self.unknown.pop(topic, None)
         self._topics[topic] = known
+
+    def _refuse(self, topic: str, reason: str) -> None:
+        if self.unknown.get(topic) != reason:
+            self.unknown[topic] = reason
+            self._node.get_logger().warning(f"{topic} is not recorded: {reason}")
 
     def _adapt(self, topic: str, known: _Topic, offered: list[QosProfile]) -> None:
         """Ask for less where a publisher that came later offers less; never for more."""

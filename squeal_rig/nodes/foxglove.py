@@ -143,10 +143,16 @@ class FoxgloveNode(Node, ServerListener):
         names = list(present)
         wanted = names if "*" in self._patterns else matching_topics(names, [*self._patterns])
         for name in wanted:
-            if name not in self._topics:
+            known = self._topics.get(name)
+            if known is not None and present[name] == [known.type_name]:
+                continue
+            published = {end.topic_type for end in self.get_publishers_info_by_topic(name)}
+            if known is not None and published and known.type_name not in published:
+                self._withdraw(name, known)
+                known = None
+            if known is None:
                 # Who listens for another type does no harm; where nobody publishes yet, all count.
-                types = {end.topic_type for end in self.get_publishers_info_by_topic(name)} or present[name]
-                self._offer(name, sorted(types))
+                self._offer(name, sorted(published or present[name]))
         for name, topic in self._topics.items():
             if topic.channel.has_sinks() and topic.subscription is None:
                 self._subscribe(name, topic)
@@ -170,6 +176,13 @@ class FoxgloveNode(Node, ServerListener):
         data = Schema(name=schema.type_name, encoding="ros2msg", data=_definition(schema.text))
         channel = Channel(name, schema=data, message_encoding="cdr", context=self._sinks)
         self._topics[name] = _Topic(channel, types[0])
+
+    def _withdraw(self, name: str, topic: _Topic) -> None:
+        """Take back a topic that is published as another type by now."""
+        if topic.subscription is not None:
+            self.destroy_subscription(topic.subscription)
+        topic.channel.close()
+        del self._topics[name]
 
     def _subscribe(self, name: str, topic: _Topic) -> None:
         offered = [offered_qos(end) for end in self.get_publishers_info_by_topic(name)]

@@ -109,6 +109,27 @@ def test_who_listens_for_another_type_keeps_no_topic_from_the_bag(processes, obs
     assert Bag(tmp_path / "run").topics["/odd"].type_name == "geometry_msgs/msg/Twist"
 
 
+def test_a_topic_that_comes_back_as_another_type_is_told(processes, observer, health, tmp_path):
+    from geometry_msgs.msg import Twist
+    from std_msgs.msg import String
+
+    recorder = processes.node("recorder", *parameters(directory=tmp_path / "run", topics=["/mended"]))
+    observer.wait_for(lambda: health_of(health, "recorder"), "the recorder")
+    for kind, level in ((String, 0), (Twist, 1), (String, 0)):
+        publisher = observer.node.create_publisher(kind, "/mended", 10)
+        observer.wait_for(lambda: told(health, "topics") == 1, "the topic")
+
+        def seen(level=level):
+            found, sentence, _ = health_of(health, "recorder")
+            return found == level and (level == 0 or sentence == "not recorded: /mended")
+
+        observer.wait_for(seen, f"a health of level {level}")
+        observer.node.destroy_publisher(publisher)
+    reason = "it was std_msgs/msg/String and is published as geometry_msgs/msg/Twist now"
+    assert recorder.errors.count(f"/mended is not recorded: {reason}") == 1
+    assert recorder.end()[0] == 0
+
+
 def test_parameters_of_every_node_and_each_change_are_in_the_bag(processes, observer, health, tmp_path):
     processes.node("friction_estimator")
     # Nothing else is recorded, so that the messages it counts are changes of parameters.

@@ -72,6 +72,7 @@ class Spoken:
     def __init__(self, url):
         self.url = url
         self.topics, self.services, self.values, self.answers = {}, {}, {}, []
+        self.schemas = {}  # by topic
         self.times = {}  # those of the messages of each topic [ns]
         self._channels = {}
 
@@ -114,6 +115,7 @@ class Spoken:
                 self._channels[channel["id"]] = channel, _decoder(channel)
                 self.topics[channel["topic"]] = 0
                 self.times[channel["topic"]] = []
+                self.schemas[channel["topic"]] = channel["schemaName"]
                 await self.send(op="subscribe", subscriptions=[{"id": channel["id"], "channelId": channel["id"]}])
         elif content["op"] == "status" and (found := re.fullmatch(r"Unknown channel ID: (\d+)", content["message"])):
             # The library tells its clients of a channel a moment before it knows it itself.
@@ -162,6 +164,26 @@ def test_every_topic_comes_and_is_decoded_by_the_schema_served(served):
 
     topics = asyncio.run(work())
     assert len(topics) > 25
+
+
+def test_a_topic_that_comes_back_as_another_type_is_served_as_that(observer, served):
+    from geometry_msgs.msg import Twist
+    from std_msgs.msg import String
+
+    async def work():
+        async with Spoken(served[0]) as spoken:
+            for kind in (String, Twist):
+                publisher = observer.node.create_publisher(kind, "/mended", 10)
+
+                def comes(kind=kind, publisher=publisher):
+                    publisher.publish(kind())
+                    schema = f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"
+                    return spoken.schemas.get("/mended") == schema and spoken.topics["/mended"] > 0
+
+                await spoken.until(comes)
+                observer.node.destroy_publisher(publisher)
+
+    asyncio.run(work())
 
 
 def _often(topic):
