@@ -21,8 +21,8 @@ from squeal_rig.recording import INFINITE_NS, QosProfile, installed_schema
 
 # History and depth cannot be seen over DDS: taken as KEEP_LAST with this depth, above one second of any of our topics.
 _UNSEEN_DEPTH = 200
-# What the recorder itself asks for: it must not lose a message while a disk is slow.
-_RECORDING_DEPTH = 1000
+#: What the recorder itself asks for: it must not lose a message while a disk is slow.
+RECORDING_DEPTH = 1000
 
 
 def message_class(type_name: str) -> Any:
@@ -61,7 +61,7 @@ def requested_qos(offered: Sequence[QosProfile]) -> QoSProfile:
     latched = all(profile.durability == "transient_local" for profile in offered)
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
-        depth=_RECORDING_DEPTH,
+        depth=RECORDING_DEPTH,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TypeVar
 
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import String
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import SetBool
 
-from squeal_rig.errors import SquealRigError
 from squeal_rig.graph import qos
 from squeal_rig.graph.conversions import cloud, joint_state, time_message, wrench
 from squeal_rig.graph.health import LAST_PUBLISHED, listeners
+from squeal_rig.graph.triggers import answer, offer_trigger
 from squeal_rig.instruments.acquisition import Block
 from squeal_rig.instruments.description import RigDescription
 from squeal_rig.instruments.means import block_means
@@ -23,8 +22,6 @@ from squeal_rig.instruments.settings import BLOCKS_PER_SECOND
 from squeal_rig.model.parameters import RigParameters
 
 _BLOCK_NS = 10**9 // BLOCKS_PER_SECOND
-
-Response = TypeVar("Response", Trigger.Response, SetBool.Response)
 
 
 class RigOutputs:
@@ -80,17 +77,6 @@ class RigOutputs:
 def offer_services(node: Node, triggers: Mapping[str, Callable[[], str]], pause: Callable[[bool], str]) -> None:
     """Offer operations as services under the node's name; each returns a sentence and may raise a `SquealRigError`."""
 
-    def trigger(action: Callable[[], str]) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:
-        return lambda _request, response: _answer(response, action)
-
     for name, action in triggers.items():
-        node.create_service(Trigger, f"~/{name}", trigger(action))
-    node.create_service(SetBool, "~/pause", lambda request, response: _answer(response, lambda: pause(request.data)))
-
-
-def _answer(response: Response, action: Callable[[], str]) -> Response:
-    try:
-        response.success, response.message = True, action()
-    except SquealRigError as error:
-        response.success, response.message = False, str(error)
-    return response
+        offer_trigger(node, name, action)
+    node.create_service(SetBool, "~/pause", lambda request, response: answer(response, lambda: pause(request.data)))

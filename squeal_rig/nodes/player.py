@@ -6,13 +6,13 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
-from std_srvs.srv import Trigger
 
 from squeal_rig.configuration.declared import Declared
 from squeal_rig.errors import RecordingError, printable
@@ -22,6 +22,7 @@ from squeal_rig.graph.health import Health, HealthPublisher
 from squeal_rig.graph.interfaces import message_class, replayed_qos
 from squeal_rig.graph.lifetime import Lifetime, run_node
 from squeal_rig.graph.parameters import NODE_OPTIONS, DeclaredParameters
+from squeal_rig.graph.triggers import offer_trigger
 from squeal_rig.recording import Bag, RawMessage
 from squeal_rig.recording.replay import Beat, check_topic_name, matching_topics, remapped
 from squeal_rig.recording.settings import PlayerSettings
@@ -62,7 +63,7 @@ class PlayerNode(Node):
         self._ending = threading.Event()
         self.add_post_set_parameters_callback(self._apply)
         for name, action in (("pause", self._pause), ("resume", self._resume), ("step", self._step)):
-            self.create_service(Trigger, f"~/{name}", self._serves(action))
+            offer_trigger(self, name, partial(self._on_transport, action))
         HealthPublisher(self, self._health)
         self.greeting = f"{'paused in' if settings.start_paused else 'playing'} {settings.bag}"
         self._thread = threading.Thread(target=self._play, name="player")
@@ -187,18 +188,9 @@ class PlayerNode(Node):
         transport.step()
         return "the next message is played"
 
-    def _serves(
-        self, action: Callable[[Transport], str]
-    ) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:
-        def serve(_request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-            assert self._transport is not None
-            try:
-                response.success, response.message = True, action(self._transport)
-            except RecordingError as error:
-                response.success, response.message = False, str(error)
-            return response
-
-        return serve
+    def _on_transport(self, action: Callable[[Transport], str]) -> str:
+        assert self._transport is not None
+        return action(self._transport)
 
     def _health(self) -> Health:
         assert self._transport is not None

@@ -10,7 +10,6 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
-from std_srvs.srv import Trigger
 
 from squeal_rig.errors import DiskError, RecordingError
 from squeal_rig.graph import qos
@@ -20,6 +19,7 @@ from squeal_rig.graph.lifetime import STEADY, Lifetime, run_node
 from squeal_rig.graph.parameter_watch import ParameterWatch, Values
 from squeal_rig.graph.parameters import NODE_OPTIONS, DeclaredParameters
 from squeal_rig.graph.subscriptions import Taken, TopicSubscriptions
+from squeal_rig.graph.triggers import offer_trigger
 from squeal_rig.recording import QosProfile
 from squeal_rig.recording.gaps import CLOUD_TYPE
 from squeal_rig.recording.session import RecordingSession, SessionTopic
@@ -56,7 +56,7 @@ class RecorderNode(Node):
             ("split", self._session.split),
             ("snapshot", lambda: self._session.snapshot("on request", self._now())),
         ):
-            self.create_service(Trigger, f"~/{name}", self._serves(action))
+            offer_trigger(self, name, self._logged(action))
         HealthPublisher(self, self._health)
         self._topics.discover()
         self.greeting = self._session.state
@@ -138,16 +138,13 @@ class RecorderNode(Node):
         self._end("complete: stopped on request")
         return f"closed {directory}"
 
-    def _serves(self, action: Callable[[], str]) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:
-        def serve(_request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-            try:
-                response.success, response.message = True, action()
-                self.get_logger().info(response.message)
-            except RecordingError as error:
-                response.success, response.message = False, str(error)
-            return response
+    def _logged(self, action: Callable[[], str]) -> Callable[[], str]:
+        def act() -> str:
+            sentence = action()
+            self.get_logger().info(sentence)
+            return sentence
 
-        return serve
+        return act
 
     # --- health and end
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import platform
-from collections.abc import Sequence
 from datetime import datetime, timezone
 from importlib.metadata import PackageNotFoundError, version
 
@@ -13,17 +12,11 @@ from squeal_rig import __version__
 _LIBRARIES = ("numpy", "scipy", "numba", "mcap", "zstandard", "rclpy")
 
 
-def provenance(
-    *,
-    parameters_yaml: str | None = None,
-    preset: str | None = None,
-    seed: int | None = None,
-    arguments: Sequence[str] | None = None,
-) -> dict[str, str]:
-    """Return the facts of a run that starts now. Host names and paths are not taken; arguments are as given.
+def provenance() -> dict[str, str]:
+    """Return the facts of a run that starts now. Host names and paths are not taken.
 
-    Keys: squeal_rig, python, os, machine, cpu_count, started_utc (ISO 8601), one per library found
-    (`library.<name>`), and parameters, preset, seed, arguments where given.
+    Keys: squeal_rig, python, os, machine, cpu_count, started_utc (ISO 8601), and one per library found
+    (`library.<name>`).
     """
     facts = {
         "squeal_rig": __version__,
@@ -38,13 +31,7 @@ def provenance(
             facts[f"library.{name}"] = version(name)
         except PackageNotFoundError:
             continue
-    given = {
-        "parameters": parameters_yaml,
-        "preset": preset,
-        "seed": None if seed is None else str(seed),
-        "arguments": None if arguments is None else " ".join(arguments),
-    }
-    return facts | {key: value for key, value in given.items() if value is not None}
+    return facts
 
 
 def _operating_system() -> str:

@@ -201,9 +201,9 @@ class Observer:
 
         return self.wait_for(answered, f"the answer of {name}", timeout).result()
 
-    def trigger(self, name, rig="rig"):
+    def trigger(self, name, rig="rig", timeout=PATIENCE):
         """(success, message) of one of the rig's trigger services."""
-        answer = self.call(Trigger, f"{rig}/{name}", Trigger.Request())
+        answer = self.call(Trigger, f"{rig}/{name}", Trigger.Request(), timeout)
         return answer.success, answer.message
 
     def pause(self, on, rig="rig"):
@@ -232,7 +232,7 @@ class Observer:
 
     # --- parameters
 
-    def set(self, values, node="rig", atomically=False):
+    def set(self, values, node="rig", atomically=False, timeout=PATIENCE):
         """Set parameters; returns (successful, reason) of each, of the whole where `atomically`."""
         messages = [
             value if hasattr(value, "value") else Parameter(name, value=value).to_parameter_msg()
@@ -240,10 +240,11 @@ class Observer:
         ]
         if atomically:
             kind, service = SetParametersAtomically, "set_parameters_atomically"
-            result = self.call(kind, f"{node}/{service}", kind.Request(parameters=messages), repeat=_REPEAT).result
+            request = kind.Request(parameters=messages)
+            result = self.call(kind, f"{node}/{service}", request, timeout, repeat=_REPEAT).result
             return [(result.successful, result.reason)]
         request = SetParameters.Request(parameters=messages)
-        results = self.call(SetParameters, f"{node}/set_parameters", request, repeat=_REPEAT).results
+        results = self.call(SetParameters, f"{node}/set_parameters", request, timeout, repeat=_REPEAT).results
         return [(result.successful, result.reason) for result in results]
 
     def get(self, names, node="rig"):

@@ -73,7 +73,7 @@ class Child:
         return int(re.search(r"VmRSS:\s+(\d+) kB", status)[1]) / 1024.0
 
     def send(self, number):
-        os.kill(self.process.pid, number)
+        self.process.send_signal(number)  # to none that has ended: its number may be another's
 
     def wait(self, timeout=PATIENCE):
         """Exit code; `TimeoutExpired` after that many seconds."""

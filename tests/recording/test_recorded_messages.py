@@ -74,12 +74,10 @@ def test_a_bag_without_a_readable_definition_is_told(schema):
         decoder_of(schema)
 
 
-def test_provenance_is_texts_and_holds_what_was_given():
-    facts = provenance(parameters_yaml="preload: 300.0\n", preset="yavuz_sen_2023", seed=4, arguments=["run", "-x"])
+def test_provenance_is_texts():
+    facts = provenance()
     assert all(isinstance(value, str) and value for value in facts.values())
     assert facts["squeal_rig"] == __version__
-    assert (facts["parameters"], facts["preset"]) == ("preload: 300.0\n", "yavuz_sen_2023")
-    assert (facts["seed"], facts["arguments"]) == ("4", "run -x")
     assert facts["started_utc"].endswith("+00:00")
 
 

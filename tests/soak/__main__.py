@@ -17,6 +17,7 @@ import numpy as np
 
 from squeal_rig.configuration.files import config_directory
 from squeal_rig.graph import qos
+from squeal_rig.graph.interfaces import RECORDING_DEPTH
 from squeal_rig.instruments.channels import DAQ_RECORD, FRICTION_SAMPLE_RECORD, TRUTH_RECORD
 from squeal_rig.instruments.settings import RigSettings
 from squeal_rig.instruments.warm_up import warm_up
@@ -46,7 +47,8 @@ _WATCHDOG = "emergency stop from outside: the rig's process has been silent"
 _BLOCK = 0.01  # s
 # What a node's queues of blocks hold at most [MB]: of the rig, the truth and the friction of each sample.
 _SAMPLE = DAQ_RECORD.itemsize + TRUTH_RECORD.itemsize + FRICTION_SAMPLE_RECORD.itemsize
-_QUEUES = qos.BLOCKS_IN.depth * RigSettings().block_size * _SAMPLE / 2**20
+_BLOCK_SIZE = RigSettings().block_size * _SAMPLE / 2**20  # [MB]
+_PATIENCE = 60.0  # s for an answer of the rig, which its watchdog may just have ended
 
 
 @dataclass
@@ -67,6 +69,11 @@ class Life:
 def is_well(name, told):
     """Whether a node's health says that it is back; a recorder goes on telling what was lost on the way to it."""
     return told[0] == 0 or (name == "recorder" and told[0] == 1 and told[2]["state"].startswith("recording"))
+
+
+def queues_of(name):
+    """What a node's queues of blocks hold at most [MB]."""
+    return (RECORDING_DEPTH if name == "recorder" else qos.BLOCKS_IN.depth) * _BLOCK_SIZE
 
 
 class Soak:
@@ -170,7 +177,8 @@ class Soak:
 
     def kill(self):
         """End one node, the hard way or by a signal, and start it again."""
-        life = self.running[self.random.choice(_NODES)]
+        name = self.random.choice([name for name in _NODES if self.running[name].child.running] or _NODES)
+        life = self.running[name]
         number = self.random.choice((signal.SIGKILL, signal.SIGTERM, signal.SIGINT))
         life.ending = number.name
         self.events.append((self.now, f"{number.name} {life.name}"))
@@ -195,11 +203,9 @@ class Soak:
         try:
             if pick < 0.5:
                 values = {"preload": self.random.uniform(20.0, 300.0), "belt_speed": self.random.uniform(1.0, 4.0)}
-                what = self.observer.set(values)
-            elif pick < 0.85:
-                what = self.observer.trigger("impact")
+                what = self.observer.set(values, timeout=_PATIENCE)
             else:
-                what = self.observer.trigger("reset")
+                what = self.observer.trigger("impact" if pick < 0.85 else "reset", timeout=_PATIENCE)
         except AssertionError as error:
             what = f"no answer: {error}"
             if self.running["rig"].child.running:  # else `look` tells why it has ended
@@ -262,8 +268,7 @@ class Soak:
             self.fault(f"the campaign beside: {campaign and campaign.errors[-300:]}")
         if self.watcher is not None:
             self.watcher.close()
-        self.running["recorder"].child.end()
-        for life in self.running.values():
+        for life in [self.running["recorder"], *self.running.values()]:
             if life.child.running:
                 life.ending = "SIGINT"
                 life.child.end()
@@ -282,7 +287,7 @@ class Soak:
         for life in self.lives:
             for kind, values in (("memory", life.memory), ("handles", life.handles)):
                 if len(life.times) >= 60:
-                    queues = _QUEUES if kind == "memory" else 0.0
+                    queues = queues_of(life.name) if kind == "memory" else 0.0
                     self.faults += faults_of(f"{life.name} from {life.begin:.0f} s", kind, life.times, values, queues)
         self.bags.check(self.running["recorder"].bag, killed=False)
         self.faults += self.bags.faults()
@@ -359,6 +364,11 @@ def main():
         soak = Soak(processes, observer, out, options.seed)
         try:
             soak.run(seconds)
+        except Exception as error:
+            if not soak.rows:
+                raise
+            # What it has seen by then is judged all the same.
+            soak.fault(f"the run was broken off: {type(error).__name__}: {error}")
         finally:
             observer.close()
             processes.end_all()

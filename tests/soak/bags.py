@@ -11,7 +11,9 @@ from squeal_rig.recording.recover import recover
 from squeal_rig.report.bag_info import sample_counts
 
 _SAMPLES_A_BLOCK = 512
-_HEALTH, _LAST_WORDS = "/diagnostics", 5_000_000_000  # [ns]; each node tells its health once a second
+_HEALTH = "/diagnostics"
+_SAMPLED = ("/daq/samples", "/truth/samples")
+_SILENCE = 150.0  # s: longer than a rig takes to come back, and its recorder to find it
 
 
 def _is_patient():
@@ -23,10 +25,16 @@ def said_last(bag):
     lost = 0
     if _HEALTH in bag.topics:
         decode = decoder_of(bag.topics[_HEALTH].schema)
-        for message in bag.messages([_HEALTH], start=bag.end_time - _LAST_WORDS):
+        for message in bag.messages([_HEALTH]):
             told = dict(statuses(decode(message.data))).get("recorder")
             lost = lost if told is None else int(told[2].get("lost messages", lost))
     return lost
+
+
+def comes_to_the_end(bag, topic):
+    """Whether a topic has messages shortly before the end: a recorder that hears nothing of it misses none either."""
+    late = bag.end_time - round(_SILENCE * 1e9)
+    return topic in bag.topics and next(iter(bag.messages([topic], start=late)), None) is not None
 
 
 def faults_of_bag(path, killed):
@@ -37,6 +45,9 @@ def faults_of_bag(path, killed):
         recover(path, source)
     bag = Bag(source)
     told = (said_last(bag) if killed else int(bag.custom_data.get("lost_messages", 0))) * _SAMPLES_A_BLOCK
+    for topic in _SAMPLED:
+        if bag.duration > _SILENCE and not comes_to_the_end(bag, topic):
+            faults.append(f"{source.name}: nothing of {topic} in the last {_SILENCE:g} s of {bag.duration:.0f} s")
     for topic, count in sample_counts(bag).items():
         if count.damaged:
             faults.append(f"{source.name}: {count.damaged} damaged blocks of {topic}")

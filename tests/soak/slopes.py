@@ -5,7 +5,7 @@ import numpy as np
 # What a node takes up in its first time is no leak: caches, queues, the first of everything. A share of a life, and a
 # time [s]: on a machine that is too slow for it all, each kill of another node can be the longest queue so far.
 _WARM_UP, _FIRST = 0.25, 300.0
-_POINTS = 200
+_POINTS, _FINE = 200, 15.0  # of a life, and at most so long [s] each
 _SHORT = 60.0, 90.0  # between two points [s]: a file of the recorder and more, much less than from one kill to the next
 #: Growth over a life that is none yet: [MB] of memory, handles.
 TOLERATED = {"memory": 8.0, "handles": 6.0}
@@ -22,7 +22,8 @@ def growth(times, values, distance=(0.0, np.inf)):
     times, values = times[late], values[late]
     if len(times) < 10:
         return 0.0
-    groups = np.array_split(np.arange(len(times)), min(_POINTS, len(times)))
+    points = max(_POINTS, int(np.ceil((times[-1] - times[0]) / _FINE)))
+    groups = np.array_split(np.arange(len(times)), min(points, len(times)))
     t = np.array([times[group].mean() for group in groups])
     v = np.array([np.median(values[group]) for group in groups])
     later, earlier = np.triu_indices(len(t), 1)[::-1]

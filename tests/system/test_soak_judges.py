@@ -39,6 +39,14 @@ def test_queues_may_fill_once_and_no_more(noise):
     assert sentence.startswith("recorder: memory grew by 6")
 
 
+@pytest.mark.parametrize("hours", [1.0, 3.5, 4.0, 8.0, 24.0])
+def test_a_leak_within_what_queues_hold_is_found_in_a_life_of_any_length(hours):
+    times = np.arange(0.0, hours * 3600.0)
+    leaking = 100.0 + 20.0 * times / times[-1] + np.random.default_rng(2).normal(0.0, 1.0, len(times))
+    (sentence,) = faults_of("recorder", "memory", times, leaking, queues=36.0)
+    assert sentence.startswith("recorder: memory grew all the time, by 1")
+
+
 @pytest.mark.parametrize("period", [1.0, 60.0])
 def test_a_leak_within_what_queues_hold_is_found(noise, period):
     leaking = 100.0 + 0.3 * noise + 0.015 * period * (_TIMES // period)
@@ -56,19 +64,22 @@ def test_a_short_life_is_not_judged():
     assert growth(_TIMES[:300], _TIMES[:300]) == 0.0
 
 
-def bag_of_a_killed_recorder(directory, lost):
-    """Two seconds that lack 20 blocks of 64 samples; `lost`: the messages that each health said to be lost."""
+def bag_of_a_killed_recorder(directory, lost, seconds=2, blocks=200):
+    """Seconds of health and blocks of 64 samples, 20 of which are missing; `lost`: what each health said to be lost."""
     cloud, health = schema_of("sensor_msgs/msg/PointCloud2"), schema_of("diagnostic_msgs/msg/DiagnosticArray")
     writer = BagWriter(directory)
-    samples = writer.add_topic("/daq/samples", cloud.type_name, schema=cloud)
+    topics = [writer.add_topic(name, cloud.type_name, schema=cloud) for name in ("/daq/samples", "/truth/samples")]
     diagnostics = writer.add_topic("/diagnostics", health.type_name, schema=health)
-    for number in (*range(100), *range(120, 200)):
+    for number in (*range(100), *range(120, blocks)):
         stamp = START + number * 10_000_000
-        writer.write(samples, block_cdr(number, stamp), stamp, stamp)
-    for second, count in enumerate(lost):
+        for topic in topics:
+            writer.write(topic, block_cdr(number, stamp), stamp, stamp)
+    for second in range(seconds):
         stamp = START + second * 10**9
-        for name, values in (("recorder", {"lost messages": str(count)}), ("rig", {"lost messages": "9"})):
-            writer.write(diagnostics, diagnostics_message(stamp, "", [(1, name, "", values)]), stamp, stamp)
+        told = [("recorder", lost[second])] if second < len(lost) else []
+        for name, count in [*told, ("rig", 9)]:
+            data = diagnostics_message(stamp, "", [(1, name, "", {"lost messages": str(count)})])
+            writer.write(diagnostics, data, stamp, stamp)
     writer.flush()
     return directory
 
@@ -76,12 +87,23 @@ def bag_of_a_killed_recorder(directory, lost):
 @pytest.mark.parametrize(("lost", "told"), [((), 0), ((0, 2), 2 * 512), ((3, 1), 512)])
 def test_samples_that_a_killed_recorder_said_nothing_of_are_a_fault(tmp_path, lost, told):
     bag = bag_of_a_killed_recorder(tmp_path / "bag", lost)
-    (sentence,) = faults_of_bag(bag, killed=True)
-    assert sentence == f"bag_recovered: 1280 samples of /daq/samples are missing, {told} were reported"
+    assert faults_of_bag(bag, killed=True) == [
+        f"bag_recovered: 1280 samples of {topic} are missing, {told} were reported"
+        for topic in ("/daq/samples", "/truth/samples")
+    ]
     assert bag.exists()
 
 
-def test_samples_that_a_killed_recorder_said_to_be_lost_are_none_and_its_bag_goes(tmp_path):
-    bag = bag_of_a_killed_recorder(tmp_path / "bag", (0, 3))
+@pytest.mark.parametrize("seconds", [2, 100])
+def test_samples_that_a_killed_recorder_said_to_be_lost_are_none_and_its_bag_goes(tmp_path, seconds):
+    bag = bag_of_a_killed_recorder(tmp_path / "bag", (0, 3), seconds)
     assert faults_of_bag(bag, killed=True) == []
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_recorder_that_heard_nothing_more_of_the_samples_is_a_fault(tmp_path):
+    bag = bag_of_a_killed_recorder(tmp_path / "bag", (0, 3), seconds=200)
+    assert faults_of_bag(bag, killed=True) == [
+        f"bag_recovered: nothing of {topic} in the last 150 s of 199 s" for topic in ("/daq/samples", "/truth/samples")
+    ]
+    assert bag.exists()

@@ -1,6 +1,6 @@
 """The exact engine: polynomial maps between samples, contact events to rounding.
 
-Plain steps (`_glide`) are the maps of `propagator`, four at a time. A step is taken only where it is
+Plain steps (`glide`) are the maps of `propagator`, four at a time. A step is taken only where it is
 proven:
 - the arms' rotation lies in its small range (|x|, |y| <= NEAR at both ends; NaN fails this too);
 - the pad cannot meet or leave the belt within the step: |y(s) - chord| <= h^2/8 max|y''|, so a start and an end
