@@ -16,6 +16,7 @@ NODES = ("rig", "simulator", "friction_estimator", "stability", "squeal_detector
 SIGNALS = {
     "sigint": (signal.SIGINT,),
     "sigterm": (signal.SIGTERM,),
+    "sighup": (signal.SIGHUP,),
     "double_sigint": (signal.SIGINT, signal.SIGINT),
 }
 
@@ -30,7 +31,7 @@ def recorded(compiled, tmp_path_factory):
 
 @pytest.fixture(
     scope="module",
-    params=["double_sigint", *(pytest.param(name, marks=pytest.mark.slow) for name in ("sigint", "sigterm"))],
+    params=["double_sigint", *(pytest.param(name, marks=pytest.mark.slow) for name in ("sigint", "sigterm", "sighup"))],
 )
 def endings(request, recorded, processes, observer, tmp_path_factory):
     """Node -> (exit code, time to end [s], stderr): all nodes run at once and are ended one after the other."""

@@ -6,7 +6,9 @@ import time
 import pytest
 
 from squeal_rig.nodes.start import NODES
+from squeal_rig.session.processes import node_command
 from tests.graph.processes import parameters
+from tests.graph.statuses import health_of
 from tests.made_bag import write_squeal
 
 pytest.importorskip("rclpy")
@@ -50,6 +52,22 @@ def test_a_signal_while_it_still_imports_ends_a_node_well(compiled, processes, n
         time.sleep(0.08 * step)  # the moment of the signal itself, not a wait for something
         node.send(number)
         assert node.wait() == 0, (step, node.errors)
+        assert "Traceback" not in node.errors
+
+
+def test_a_node_ends_well_as_its_terminal_closes_and_goes_on_under_nohup(compiled, processes, observer):
+    health = observer.follow("/diagnostics")
+    command = node_command("simulator", [])
+    for before, word in (((), "ended"), (("nohup",), "goes on")):
+        node = processes.start([*before, *command])
+        observer.wait_for(lambda node=node: "Ctrl-C" in node.errors or not node.running, "the node")
+        node.send(signal.SIGHUP)
+        if word == "ended":
+            assert observer.wait_for_end(node) == 0
+        else:
+            health.clear()
+            observer.wait_for(lambda: health_of(health, "rig"), "a health after it")
+            assert node.end()[0] == 0
         assert "Traceback" not in node.errors
 
 
