@@ -84,16 +84,17 @@ class TopicSubscriptions:
             if topic not in wanted or (not again and (known is not None or topic in self.unknown)):
                 continue
             publishers = self._node.get_publishers_info_by_topic(topic)
-            offered = [offered_qos(end) for end in publishers]
             types = sorted({end.topic_type for end in publishers})
-            if offered and known is None:
-                self._begin(topic, types, offered)
-            elif offered and known is not None:
-                self._adapt(topic, known, offered)
-                if types == [known.type_name]:
-                    self.unknown.pop(topic, None)
-                else:
-                    self._refuse(topic, f"it was {known.type_name} and is published as {', '.join(types)} now")
+            if known is None:
+                if publishers:
+                    self._begin(topic, types, [offered_qos(end) for end in publishers])
+                continue
+            if own := [offered_qos(end) for end in publishers if end.topic_type == known.type_name]:
+                self._adapt(topic, known, own)
+            if len(own) == len(publishers):
+                self.unknown.pop(topic, None)
+            else:
+                self._refuse(topic, f"it was {known.type_name} and is published as {', '.join(types)} now")
 
     def _begin(self, topic: str, types: Sequence[str], offered: list[QosProfile]) -> None:
         try:

@@ -112,11 +112,14 @@ class RecorderNode(Node):
         try:
             action()
         except DiskError as error:
-            self.get_logger().error(f"recording stopped: {error}")
-            self._session.fault = str(error)
-            self._end(f"stopped: {error}")
+            self._stopped_by(error)
         except RecordingError as error:
             self.get_logger().warning(str(error))
+
+    def _stopped_by(self, error: DiskError) -> None:
+        self.get_logger().error(f"recording stopped: {error}")
+        self._session.fault = str(error)
+        self._end(f"stopped: {error}")
 
     def _drain(self) -> None:
         """Take what has arrived by now: after a slow disk that may be seconds, which would be lost with the node."""
@@ -140,7 +143,11 @@ class RecorderNode(Node):
 
     def _logged(self, action: Callable[[], str]) -> Callable[[], str]:
         def act() -> str:
-            sentence = action()
+            try:
+                sentence = action()
+            except DiskError as error:
+                self._stopped_by(error)
+                raise
             self.get_logger().info(sentence)
             return sentence
 

@@ -31,7 +31,8 @@ def recover(source: str | Path, directory: str | Path) -> Recovery:
     rescue = _Rescue(Path(directory))
     try:
         for path in paths:
-            if len(paths) > 1 and path.stat().st_size == 0:  # as a power failure leaves the last one: no bar to others
+            # As a power failure leaves the last one: no bar to the others.
+            if len(paths) > 1 and path.is_file() and path.stat().st_size == 0:
                 rescue.report.empty_files.append(path.name)
                 rescue.report.closed = False
             else:

@@ -120,6 +120,7 @@ class RecordingSession:
         except RecordingError as error:
             with suppress(RecordingError):  # the first error is the one to tell
                 self.stop(f"aborted: {error}")
+            self.fault = str(error)
             raise
 
     def _begin(self, writer: BagWriter, now: int) -> None:

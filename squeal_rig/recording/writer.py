@@ -80,7 +80,8 @@ class ChannelHandle:
 class BagWriter:
     """One bag being written. Methods may be called from several threads.
 
-    Raises DiskError from any method when the disk refuses; `close` still leaves a valid bag then.
+    Raises DiskError from any method when the disk refuses; `close` still leaves a valid bag then, but for a file that
+    not even the reserve was enough to finish, which can be recovered.
     """
 
     def __init__(

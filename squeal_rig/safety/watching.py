@@ -29,8 +29,13 @@ def watch() -> int:
         return 0
     given = json.loads(line)
     rig: int | None = None
-    with suppress(OSError):
+    try:
         rig = os.pidfd_open(given["rig"])  # a number of a process may be given to another one later
+    except ProcessLookupError:
+        pass  # it has ended already
+    except OSError as error:
+        _write(f"the watchdog cannot watch the rig's process: {described_error(error)}")
+        return 1
     if os.getppid() != given["rig"]:  # it has ended already: its number may be another's by now
         rig = None
     make_safe = _Loading(given["driver"], given["settings"])
@@ -138,7 +143,7 @@ def _write(sentence: str) -> None:
 
     def write() -> None:
         with suppress(OSError):
-            os.write(2, f"{sentence}\n".encode())
+            os.write(2, f"{sentence}\n".encode(errors="backslashreplace"))
 
     thread = threading.Thread(target=write, daemon=True)
     thread.start()

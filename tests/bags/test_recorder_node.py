@@ -306,7 +306,7 @@ def test_one_odd_stamp_and_an_early_snapshot_end_no_recording(processes, observe
 
 
 @pytest.mark.slow
-def test_messages_that_overrun_the_queue_are_counted(processes, observer, tmp_path):
+def test_messages_that_overrun_the_queue_are_counted_for_the_bag_that_lacks_them(processes, observer, health, tmp_path):
     """Fast DDS replaces the oldest without a word; the numbers of the publisher tell."""
     from rclpy.qos import QoSProfile
     from std_msgs.msg import String
@@ -322,11 +322,19 @@ def test_messages_that_overrun_the_queue_are_counted(processes, observer, tmp_pa
     for _ in range(3000):
         words.publish(String(data=str(next(numbers))))
     sent = next(numbers)
+    assert observer.trigger("stop", "recorder")[0]
+    assert observer.trigger("start", "recorder")[0]
+    observer.wait_for(lambda: told(health, "lost messages", 1.0) == 0, "a health of the second bag")
+    for _ in range(5):
+        words.publish(String(data="a word"))
+    observer.wait_for(lambda: told(health, "messages") == 5, "messages of the second bag")
+    assert health_of(health, "recorder")[0] == 0
     assert recorder.end()[0] == 0
-    bag = Bag(tmp_path / "run")
-    kept = bag.topics["/words"].message_count
+    first, second = Bag(tmp_path / "run"), Bag(tmp_path / "run_2")
+    kept = first.topics["/words"].message_count
     assert 1000 <= kept < sent
-    assert int(bag.custom_data["lost_messages"]) == sent - kept
+    assert int(first.custom_data["lost_messages"]) == sent - kept
+    assert (second.topics["/words"].message_count, second.custom_data["lost_messages"]) == (5, "0")
 
 
 def test_readers_of_others_agree_message_by_message(processes, observer, health, tmp_path, load):

@@ -1,6 +1,7 @@
 """The gate before a server that checks nothing itself: who passes, and what is passed on."""
 
 import asyncio
+import os
 import socket
 from pathlib import Path
 
@@ -143,8 +144,13 @@ def test_who_comes_takes_the_place_of_the_oldest_that_shows_no_head(monkeypatch)
     assert (ended, gate.refused, len(log)) == (1, 1, 1)
 
 
+def open_sockets():
+    links = [os.readlink(file) for file in Path("/proc/self/fd").iterdir() if file.is_symlink()]
+    return sum(link.startswith("socket:") for link in links)
+
+
 async def open_sockets_after_one_that_takes_nothing():
-    """Files of this process before a client that never reads what a server behind the gate pours out, and after it."""
+    """Sockets of this process before a client that never reads what a server behind the gate pours out, and later."""
 
     async def pour(reader, writer):
         try:
@@ -157,16 +163,17 @@ async def open_sockets_after_one_that_takes_nothing():
     server = await asyncio.start_server(pour, "127.0.0.1", 0)
     gate = Gate(Access("127.0.0.1", TOKEN), server.sockets[0].getsockname(), [].append)
     gate.start("127.0.0.1", 0)
-    files = Path("/proc/self/fd")
     try:
-        before = len(list(files.iterdir()))
+        before = open_sockets()
         with socket.create_connection(("127.0.0.1", gate.port)) as client:
             client.sendall(head(Authorization=f"Bearer {TOKEN}").encode())
+            led = False
             for _ in range(600):
-                await asyncio.sleep(0.1)
-                now = len(list(files.iterdir()))
-                if gate.connections == 0 and now == before + 1:  # the client's own
+                await asyncio.sleep(0.05)
+                now, led = open_sockets(), led or gate.connections == 1
+                if led and gate.connections == 0 and now == before + 1:  # the client's own
                     break
+            assert led
         return before + 1, now
     finally:
         await asyncio.to_thread(gate.close)

@@ -441,6 +441,7 @@ except DiskError as error:
     print(error)
 resource.setrlimit(resource.RLIMIT_FSIZE, (hard, hard))
 print(session.state)
+print(session.fault)
 session.write(topic, string_cdr("between"), 3, 3)
 session.start(4)
 session.write(topic, string_cdr("after"), 5, 5)
@@ -452,9 +453,9 @@ session.stop("complete")
 def test_a_bag_that_cannot_be_begun_is_given_up_and_the_next_one_is_whole(tmp_path):
     command = [sys.executable, "-c", HALF_BEGUN, str(tmp_path / "run")]
     run = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
-    sentence, state = run.stdout.splitlines()
+    sentence, state, fault = run.stdout.splitlines()
     assert sentence.startswith("Cannot write to ")
-    assert state == "not recording"
+    assert (state, fault) == ("not recording", sentence)
     assert [message.log_time for message in Bag(tmp_path / "run_3").messages()] == [5]
 
 

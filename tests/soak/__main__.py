@@ -48,7 +48,8 @@ _BLOCK = 0.01  # s
 # What a node's queues of blocks hold at most [MB]: of the rig, the truth and the friction of each sample.
 _SAMPLE = DAQ_RECORD.itemsize + TRUTH_RECORD.itemsize + FRICTION_SAMPLE_RECORD.itemsize
 _BLOCK_SIZE = RigSettings().block_size * _SAMPLE / 2**20  # [MB]
-_PATIENCE = 60.0  # s for an answer of the rig, which its watchdog may just have ended
+# s for an answer of the rig, which its watchdog may just have ended; and for one that is asked for again.
+_PATIENCE, _SHORTLY = 60.0, 10.0
 
 
 @dataclass
@@ -143,7 +144,8 @@ class Soak:
         while time.monotonic() - begin < _RECOVERY and life.ending != "died":
             self.observer.spin(0.2)
             self.look()
-            life = self.running[life.name]  # another one, where its watchdog has ended the rig meanwhile
+            if self.running[life.name] is not life:  # its watchdog has ended the rig meanwhile
+                begin, life = time.monotonic(), self.running[life.name]
             told = health_of(self.health, life.name)
             if told is not None and self.is_stopped():
                 self.release()
@@ -167,11 +169,12 @@ class Soak:
         """One try of the procedure after a trip; who is not back yet refuses it."""
         try:
             if self.told_by_supervisor()[0] not in ("ok", "warn"):
-                self.observer.set({"reset_reason": "the soak killed a node"}, node="supervisor")
-                if not self.observer.trigger("reset", rig="supervisor")[0]:
+                reason = {"reset_reason": "the soak killed a node"}
+                self.observer.set(reason, node="supervisor", timeout=_SHORTLY)
+                if not self.observer.trigger("reset", rig="supervisor", timeout=_SHORTLY)[0]:
                     return
-            if self.observer.trigger("reset")[0]:
-                self.observer.set(_OPERATING_POINT)
+            if self.observer.trigger("reset", timeout=_SHORTLY)[0]:
+                self.observer.set(_OPERATING_POINT, timeout=_SHORTLY)
         except AssertionError:  # no answer yet
             return
 
