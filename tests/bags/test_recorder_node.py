@@ -344,9 +344,9 @@ def test_readers_of_others_agree_message_by_message(processes, observer, health,
 
     recorder = processes.node("recorder", *parameters(directory=tmp_path / "run"))
     recording(observer, health)
-    events = observer.follow("/parameter_events")
-    # The load changes its parameter every second: the second change from now on is after whatever was joined late.
-    observer.wait_for(lambda: len(events) > 1, "two changes of a parameter")
+    # One of its own: the load's are missed for as long as the recorder has not found that publisher, some seconds now
+    # and then on a busy machine.
+    assert observer.set({"snapshot_delay": 12.5}, "recorder") == [(True, "")]
     recording(observer, health, 1500)
     assert recorder.end()[0] == 0
     bag = Bag(tmp_path / "run")
