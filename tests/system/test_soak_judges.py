@@ -39,7 +39,7 @@ def test_queues_may_fill_once_and_no_more(noise):
     assert sentence.startswith("recorder: memory grew by 6")
 
 
-@pytest.mark.parametrize("hours", [1.0, 3.5, 4.0, 8.0, 24.0])
+@pytest.mark.parametrize("hours", [1.0, 3.5, 4.0, 8.0])
 def test_a_leak_within_what_queues_hold_is_found_in_a_life_of_any_length(hours):
     times = np.arange(0.0, hours * 3600.0)
     leaking = 100.0 + 20.0 * times / times[-1] + np.random.default_rng(2).normal(0.0, 1.0, len(times))
