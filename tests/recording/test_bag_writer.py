@@ -318,6 +318,14 @@ def test_no_bag_is_started_where_the_reserve_does_not_fit_on_the_disk(tmp_path):
     assert list((tmp_path / "run").iterdir()) == []
 
 
+def what_it_says(script, folder):
+    """Lines of a script that bounds the size of its own files, in a process of its own."""
+    command = [sys.executable, "-c", script, str(folder)]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert run.returncode == 0, run.stderr
+    return run.stdout.splitlines()
+
+
 FULL_DISK = """
 import resource, sys
 from squeal_rig.errors import DiskError, RecordingError
@@ -340,15 +348,7 @@ print(number)
 @pytest.mark.skipif(not hasattr(resource, "RLIMIT_FSIZE"), reason="needs a limit on file sizes")
 def test_a_refused_write_is_told_and_the_bag_still_closes_valid(tmp_path):
     """The limit on file sizes stands for a full disk: the operating system writes a part, then refuses."""
-    run = subprocess.run(
-        [sys.executable, "-c", FULL_DISK, str(tmp_path / "run")],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
-    assert run.returncode == 0, run.stderr
-    sentence, last = run.stdout.splitlines()
+    sentence, last = what_it_says(FULL_DISK, tmp_path / "run")
     assert sentence.startswith("Cannot write to ")
     records_of(tmp_path / "run" / "run_0.mcap")
     bag = Bag(tmp_path / "run")
@@ -377,9 +377,8 @@ except RecordingError as error:
 
 @pytest.mark.skipif(not hasattr(resource, "RLIMIT_FSIZE"), reason="needs a limit on file sizes")
 def test_a_last_chunk_that_does_not_fit_is_told_by_the_ending(tmp_path):
-    command = [sys.executable, "-c", LAST_CHUNK, str(tmp_path / "run")]
-    run = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
-    assert run.stdout.startswith("Cannot write to ")
+    (sentence,) = what_it_says(LAST_CHUNK, tmp_path / "run")
+    assert sentence.startswith("Cannot write to ")
     bag = Bag(tmp_path / "run")
     assert bag.ending.startswith("stopped: the last 100 messages are lost: Cannot write to ")
     assert (bag.message_count, bag.custom_data["messages_lost_at_end"]) == (0, "100")
@@ -410,9 +409,8 @@ session.stop("stopped: the disk", {"lost_messages": "0"})
 
 @pytest.mark.skipif(not hasattr(resource, "RLIMIT_FSIZE"), reason="needs a limit on file sizes")
 def test_a_file_that_cannot_be_finished_ends_the_bag_in_the_next_one(tmp_path):
-    command = [sys.executable, "-c", UNFINISHED, str(tmp_path / "run")]
-    run = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
-    assert run.stdout.startswith("Cannot write to ")
+    (sentence,) = what_it_says(UNFINISHED, tmp_path / "run")
+    assert sentence.startswith("Cannot write to ")
     told = read_metadata(tmp_path / "run")
     assert [(file.path, file.message_count) for file in told.files] == [("run_0.mcap", 100), ("run_1.mcap", 0)]
     assert (told.custom_data["ending"], told.custom_data["lost_messages"]) == ("stopped: the disk", "0")
@@ -451,9 +449,7 @@ session.stop("complete")
 
 @pytest.mark.skipif(not hasattr(resource, "RLIMIT_FSIZE"), reason="needs a limit on file sizes")
 def test_a_bag_that_cannot_be_begun_is_given_up_and_the_next_one_is_whole(tmp_path):
-    command = [sys.executable, "-c", HALF_BEGUN, str(tmp_path / "run")]
-    run = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
-    sentence, state, fault = run.stdout.splitlines()
+    sentence, state, fault = what_it_says(HALF_BEGUN, tmp_path / "run")
     assert sentence.startswith("Cannot write to ")
     assert (state, fault) == ("not recording", sentence)
     assert [message.log_time for message in Bag(tmp_path / "run_3").messages()] == [5]
