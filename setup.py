@@ -72,7 +72,7 @@ setup(
         # `squeal-rig page`, `squeal-rig run --page` and the node `page`.
         "page": ["aiohttp>=3.9.1"],
         # The node `foxglove`.
-        "foxglove": ["foxglove-sdk>=0.14"],
+        "foxglove": ["foxglove-sdk>=0.25"],
         # `squeal-rig campaign`: tables, a cluster here or elsewhere, Sobol indices.
         "campaign": ["dask>=2024.1", "distributed>=2024.1", "pyarrow>=14.0", "SALib>=1.5"],
         # The driver `opendaq`: acquisition from openDAQ devices, inverter and preload unit over Modbus TCP.
@@ -83,7 +83,7 @@ setup(
             "axe-playwright-python>=0.1.4",
             "dask>=2024.1",
             "distributed>=2024.1",
-            "foxglove-sdk>=0.14",
+            "foxglove-sdk>=0.25",
             "h5py>=3.10",
             "hypothesis>=6.100",
             "opendaq>=3.40,<4",

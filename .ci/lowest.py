@@ -9,6 +9,7 @@ from typing import Any
 import setuptools
 
 ROOT = Path(__file__).resolve().parents[1]
+_WITH = ("click==8.1.6",)  # typer's own dependency, as Ubuntu 24.04 has it: typer 0.9 does not know later ones
 _EXTRAS = ("jazzy", "test", "export")  # the others are tools and peers, no part of what a user installs
 
 
@@ -17,7 +18,7 @@ def pins(metadata: dict[str, Any]) -> list[str]:
     extras = metadata["extras_require"]
     asked = [*metadata["install_requires"], *(name for extra in _EXTRAS for name in extras[extra])]
     bounds = dict(re.match(r"([\w.-]+)>=([\w.]+)", name).groups() for name in asked)  # type: ignore[union-attr,misc]
-    return [f"{name}=={bound}" for name, bound in sorted(bounds.items())]
+    return [*(f"{name}=={bound}" for name, bound in sorted(bounds.items())), *_WITH]
 
 
 if __name__ == "__main__":

@@ -1,11 +1,9 @@
 """The command `squeal-rig`: argument parsing only; what each command does is imported when it runs."""
 
-from __future__ import annotations
-
 import math
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Optional
 
 import typer
 
@@ -25,7 +23,7 @@ console = PlainConsole()
 BagArgument = Annotated[Path, typer.Argument(help="A bag: its folder or its .mcap file.", metavar="BAG")]
 ForceOption = Annotated[bool, typer.Option("--force", help="Overwrite a file that is there.")]
 InstrumentsOption = Annotated[
-    str | None,
+    Optional[str],
     typer.Option(help="Data sheets: ideal, typical, poor, or a YAML file; those of the parameters by default."),
 ]
 NO_ROS = "ROS 2 is not installed here: pip install 'squeal_rig[jazzy]', or source a ROS 2 Jazzy installation"
@@ -62,12 +60,12 @@ def _data_sheets(given: str | None) -> str | None:
 
 @app.command()
 def run(
-    config: Annotated[Path | None, typer.Option(help="Node parameters; the package's rig.yaml by default.")] = None,
-    bag: Annotated[Path | None, typer.Option(help="Bag to write; bags/<UTC stamp> by default.")] = None,
+    config: Annotated[Optional[Path], typer.Option(help="Node parameters; the package's rig.yaml by default.")] = None,
+    bag: Annotated[Optional[Path], typer.Option(help="Bag to write; bags/<UTC stamp> by default.")] = None,
     record: Annotated[bool, typer.Option(help="Record a bag.")] = True,
-    plan: Annotated[Path | None, typer.Option(help="Plan to run; without one the rig runs until Ctrl-C.")] = None,
+    plan: Annotated[Optional[Path], typer.Option(help="Plan to run; without one the rig runs until Ctrl-C.")] = None,
     duration: Annotated[
-        float | None, typer.Option(help="End a run that has no plan after so long [s].", min=0.0, callback=_finite)
+        Optional[float], typer.Option(help="End a run that has no plan after so long [s].", min=0.0, callback=_finite)
     ] = None,
     instruments: InstrumentsOption = None,
     page: Annotated[bool, typer.Option("--page", help="Serve the operator's page too.")] = False,
@@ -106,14 +104,17 @@ def run(
 @app.command("page")
 def operators_page(
     bag: Annotated[
-        Path | None, typer.Argument(help="A bag to show, read-only; the live rig where none is given.", metavar="[BAG]")
+        Optional[Path],
+        typer.Argument(help="A bag to show, read-only; the live rig where none is given.", metavar="[BAG]"),
     ] = None,
-    config: Annotated[Path | None, typer.Option(help="Node parameters; the package's rig.yaml by default.")] = None,
-    address: Annotated[str | None, typer.Option(help="Address to listen on; 127.0.0.1 by default.")] = None,
-    port: Annotated[int | None, typer.Option(help="Port to listen on; 8460 by default.", min=0, max=65535)] = None,
-    token_file: Annotated[Path | None, typer.Option(help="File with the token that every request must show.")] = None,
+    config: Annotated[Optional[Path], typer.Option(help="Node parameters; the package's rig.yaml by default.")] = None,
+    address: Annotated[Optional[str], typer.Option(help="Address to listen on; 127.0.0.1 by default.")] = None,
+    port: Annotated[Optional[int], typer.Option(help="Port to listen on; 8460 by default.", min=0, max=65535)] = None,
+    token_file: Annotated[
+        Optional[Path], typer.Option(help="File with the token that every request must show.")
+    ] = None,
     hosts: Annotated[
-        list[str] | None,
+        Optional[list[str]],
         typer.Option("--host", help="Name, besides the address, under which browsers may reach it; may be repeated."),
     ] = None,
     control: Annotated[bool, typer.Option("--control", help="Let the page operate the rig.")] = False,
@@ -142,7 +143,7 @@ def operators_page(
 
 @app.command()
 def demo(
-    bag: Annotated[Path | None, typer.Option(help="Bag to write; bags/<UTC stamp> by default.")] = None,
+    bag: Annotated[Optional[Path], typer.Option(help="Bag to write; bags/<UTC stamp> by default.")] = None,
     instruments: InstrumentsOption = None,
 ) -> None:
     """From quiet sliding into squeal: a scripted run of 23 s, its bag, its replay, its picture."""
@@ -161,7 +162,7 @@ def demo(
 def analyse(
     bag: BagArgument,
     picture: Annotated[
-        Path | None, typer.Option(help="PNG, PDF or SVG to write; report.png in the bag's folder by default.")
+        Optional[Path], typer.Option(help="PNG, PDF or SVG to write; report.png in the bag's folder by default.")
     ] = None,
     force: ForceOption = False,
 ) -> None:
@@ -197,9 +198,9 @@ def reproduce(
 
 PresetOption = Annotated[str, typer.Option(help="Preset to begin from.")]
 SetOption = Annotated[
-    list[str] | None, typer.Option("--set", help="Parameter of the rig, name=value; several may follow.")
+    Optional[list[str]], typer.Option("--set", help="Parameter of the rig, name=value; several may follow.")
 ]
-MoreSettings = Annotated[list[str] | None, typer.Argument(metavar="[NAME=VALUE]...", help="More settings.")]
+MoreSettings = Annotated[Optional[list[str]], typer.Argument(metavar="[NAME=VALUE]...", help="More settings.")]
 FolderOption = Annotated[Path, typer.Option(help="New folder for the page, the pictures and the tables.")]
 FolderForceOption = Annotated[bool, typer.Option("--force", help="Overwrite files that are in the folder.")]
 
@@ -213,7 +214,9 @@ def cycles(
     over: Annotated[
         str, typer.Option(help="Parameter along which they are followed: mu0, pad_stiffness, any other number.")
     ] = "mu0",
-    within: Annotated[str | None, typer.Option(help="Range of that parameter, low:high.", metavar="LOW:HIGH")] = None,
+    within: Annotated[
+        Optional[str], typer.Option(help="Range of that parameter, low:high.", metavar="LOW:HIGH")
+    ] = None,
     force: FolderForceOption = False,
 ) -> None:
     """Squeal cycles and separatrix of a rig along one of its parameters: branch, folds, multipliers, contact force."""
@@ -294,7 +297,7 @@ app.add_typer(bag_app, name="bag")
 
 OutArgument = Annotated[Path, typer.Argument(help="New folder for the bag that is written.", metavar="OUT_DIR")]
 TopicsOption = Annotated[
-    list[str] | None, typer.Option("--topic", help="Topic or pattern; may be given several times.")
+    Optional[list[str]], typer.Option("--topic", help="Topic or pattern; may be given several times.")
 ]
 
 
@@ -302,7 +305,7 @@ TopicsOption = Annotated[
 def calibrate(
     targets: Annotated[Path, typer.Argument(help="A calibration, or a file of targets.", metavar="TARGETS")],
     free: Annotated[
-        str | None,
+        Optional[str],
         typer.Option(help="Free parameters, by commas: name or name=lower:upper."),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the search.", min=0)] = 1,
@@ -322,7 +325,7 @@ campaign_app = typer.Typer(
 app.add_typer(campaign_app, name="campaign")
 CampaignFolder = Annotated[Path, typer.Argument(help="Folder of a campaign.", metavar="DIR")]
 WorkersOption = Annotated[
-    int | None, typer.Option(help="Processes that measure; chosen by the size of the campaign by default.", min=0)
+    Optional[int], typer.Option(help="Processes that measure; chosen by the size of the campaign by default.", min=0)
 ]
 SchedulerOption = Annotated[str, typer.Option(help="Address of a Dask scheduler, tcp://host:8786.")]
 
@@ -333,11 +336,11 @@ def campaign_run(
     out: Annotated[Path, typer.Option(help="New folder for the plan, the journal, the tables and the report.")],
     live: Annotated[bool, typer.Option("--live", help="On the ROS graph, through the rig's node.")] = False,
     config: Annotated[
-        Path | None, typer.Option(help="Live: node parameters; the package's rig.yaml by default.")
+        Optional[Path], typer.Option(help="Live: node parameters; the package's rig.yaml by default.")
     ] = None,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = "",
-    chunk: Annotated[int | None, typer.Option(help="Points handed out at once.", min=1)] = None,
+    chunk: Annotated[Optional[int], typer.Option(help="Points handed out at once.", min=1)] = None,
 ) -> None:
     """Measure every point of a plan, by the engine alone or live, and write a report."""
     from squeal_rig.experiments.campaign.plans import load_campaign
@@ -356,7 +359,7 @@ def campaign_run(
 def campaign_resume(
     folder: CampaignFolder,
     config: Annotated[
-        Path | None,
+        Optional[Path],
         typer.Option(help="Live: node parameters that it was begun with, where its folder does not keep them."),
     ] = None,
     workers: WorkersOption = None,
@@ -454,7 +457,8 @@ def cut(
     out: OutArgument,
     start: Annotated[float, typer.Option(help="Begin [s after the first message].", min=0.0, callback=_finite)] = 0.0,
     end: Annotated[
-        float | None, typer.Option(help="End [s after the first message]; the bag's end by default.", callback=_finite)
+        Optional[float],
+        typer.Option(help="End [s after the first message]; the bag's end by default.", callback=_finite),
     ] = None,
     topic: TopicsOption = None,
 ) -> None:
@@ -482,7 +486,7 @@ def export(
     out: Annotated[Path, typer.Argument(help="Folder or file to write.", metavar="OUT")],
     to: Annotated[str, typer.Option(help="parquet, csv, hdf5 or wav.")],
     topic: TopicsOption = None,
-    column: Annotated[list[str] | None, typer.Option(help="Column; may be given several times.")] = None,
+    column: Annotated[Optional[list[str]], typer.Option(help="Column; may be given several times.")] = None,
     force: ForceOption = False,
 ) -> None:
     """Write the samples for other tools: one row a sample, units in the column's metadata."""

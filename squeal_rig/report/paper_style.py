@@ -39,6 +39,14 @@ def style(number: int, markers: bool = False) -> dict[str, Any]:
     return chosen
 
 
+def legend_below(figure: Any, handles: list[Any], columns: int) -> None:
+    """A legend of labelled handles under all axes of a figure; before matplotlib 3.7 at their lower edge."""
+    import matplotlib
+
+    where = "outside lower center" if matplotlib.__version_info__ >= (3, 7) else "lower center"
+    figure.legend(handles, [handle.get_label() for handle in handles], loc=where, ncols=columns)
+
+
 def picture(
     name: str, caption: str, draw: Callable[[Any], None], rows: int = 1, columns: int = 1, height: float = 3.4
 ) -> Picture:

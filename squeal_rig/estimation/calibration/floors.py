@@ -8,7 +8,9 @@ limit of infinite D (B = 0) as well. Five numbers for all thresholds: the floors
 from __future__ import annotations
 
 from dataclasses import dataclass
+from inspect import signature
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,8 +92,10 @@ def searched_floor(targets: Targets, measure: str, seed: int = 0) -> float:
         return _measure(_errors(basis @ terms, z[4], k), measure)
 
     bounds = [(0.2 / k.max(), 2.0 / k.min())] * 4 + [(0.0, 1.0 / k.max() ** 2)]
+    # Before SciPy 1.15 `rng` was called `seed`.
+    seeded: dict[str, Any] = {"rng" if "rng" in signature(differential_evolution).parameters else "seed": seed}
     found = differential_evolution(
-        loss, bounds, popsize=30, maxiter=3000, tol=1e-10, rng=seed, vectorized=True, updating="deferred", polish=False
+        loss, bounds, popsize=30, maxiter=3000, tol=1e-10, vectorized=True, updating="deferred", polish=False, **seeded
     )
     return float(found.fun)
 

@@ -14,7 +14,7 @@ from squeal_rig.experiments.campaign.measuring import BACK, IRREGULAR, OUT, QUIE
 from squeal_rig.experiments.campaign.plans import PAD_STIFFNESS
 from squeal_rig.experiments.campaign.summary import Results
 from squeal_rig.model.parameters import RigParameters
-from squeal_rig.report.paper_style import Picture, picture, style
+from squeal_rig.report.paper_style import Picture, legend_below, picture, style
 
 Values = NDArray[np.float64]
 
@@ -69,7 +69,7 @@ def operating_map(results: Results) -> Picture:
         marks: dict[str, Any] = {}
         for axis in axes.flat[: len(panels)]:
             marks |= dict(zip(*axis.get_legend_handles_labels()[::-1], strict=True))
-        axes[0, 0].figure.legend(marks.values(), marks.keys(), loc="outside lower center", ncols=8)
+        legend_below(axes[0, 0].figure, list(marks.values()), 8)
 
     columns = min(3, len(panels))
     caption += f" A panel for each {names[2]}."
@@ -254,6 +254,7 @@ def spectrogram_figure(x: Values, rate: int, title: str) -> Picture:
 
     def draw(axes: Any) -> None:
         axis = axes[0, 0]
+        axis.grid(False)
         drawn = axis.pcolormesh(
             times, frequencies[shown] / 1e3, levels.T, cmap="magma", vmin=_LOWEST, shading="nearest", rasterized=True
         )

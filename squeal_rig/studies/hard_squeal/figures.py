@@ -17,7 +17,7 @@ from squeal_rig.model.cycles.path import PAD_STIFFNESS
 from squeal_rig.model.cycles.tracing import FLUTTER
 from squeal_rig.model.cycles.zone_map import BISTABLE, NOT_IN_CONTACT, QUIET, SQUEAL, UNKNOWN
 from squeal_rig.model.parameters import RigParameters
-from squeal_rig.report.paper_style import Picture, picture
+from squeal_rig.report.paper_style import Picture, legend_below, picture
 from squeal_rig.studies.hard_squeal.branches import Diagram, Values, from_rest, normal_force
 from squeal_rig.studies.hard_squeal.chart import Chart
 
@@ -166,8 +166,10 @@ def zone_figure(chart: Chart, name: str = "zones") -> Picture:
             area = axis.contourf(
                 chart.preloads, chart.speeds, inside, levels=[0.5, 1.5], colors=[fill], hatches=[hatch or None]
             )
-            area.set_edgecolor(_HATCH_COLOR)
-            area.set_linewidth(0.0)
+            # Before matplotlib 3.8 a filled contour was several collections.
+            for part in [area] if hasattr(area, "set_edgecolor") else area.collections:
+                part.set_edgecolor(_HATCH_COLOR)
+                part.set_linewidth(0.0)
         for border, color, width in ((found.fold_mu, _STABLE, 1.6), (found.flutter_mu, _UNSTABLE, 2.0)):
             margin = found.mu - border
             if np.isfinite(margin).all() and margin.min() < 0.0 < margin.max():
@@ -344,4 +346,4 @@ def _chart_legend(axis: Any, chart: Chart) -> None:
         Line2D([], [], color=_UNSTABLE, lw=2.0, label="flutter threshold: all that the paper knows"),
         Line2D([], [], color=_HIT, lw=0.9, label="smallest hit [N s]"),
     ]
-    axis.figure.legend(handles=[*patches, *lines], loc="outside lower center", ncols=2)
+    legend_below(axis.figure, [*patches, *lines], 2)
