@@ -15,7 +15,7 @@ from squeal_rig.instruments.driver import Capabilities, Reading, Samples
 from squeal_rig.instruments.settings import BLOCKS_PER_SECOND, RigSettings
 from squeal_rig.model.core.forces import arm_extensions, friction_ratio
 from squeal_rig.model.core.kernel import kernel
-from squeal_rig.model.core.layout import K1, K2, NORMAL, SAMPLE_SIZE, TANGENTIAL, VX, VY, Vector, X, Y
+from squeal_rig.model.core.layout import K1, K2, NORMAL, TANGENTIAL, VX, VY, Vector, X, Y, sample_room
 from squeal_rig.model.motion.trajectory import Motion, resting_state, validity_warnings
 from squeal_rig.model.parameters import RUN_TIME_PARAMETERS, RigParameters
 
@@ -46,7 +46,7 @@ class VirtualRig:
         """Put the pad at rest on the belt, load the compiled model and take the instruments out of their box."""
         self._sheets = self._given if self._given is not None else load_data_sheets(settings.instruments)
         self._settings = settings
-        self._states = np.empty((settings.block_size, SAMPLE_SIZE))
+        self._states = sample_room(settings.block_size)
         self._piece = piece_length(self._sheets, settings)
         self._motion = None
         self._start(parameters)

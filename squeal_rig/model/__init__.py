@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from squeal_rig.model.core.forces import jacobian, state_derivative
     from squeal_rig.model.core.law import friction_coefficient
+    from squeal_rig.model.core.layout import sample_room
     from squeal_rig.model.core.statics import equilibrium
     from squeal_rig.model.cycles.branch import Branch, FoldCurve, fold_curve, follow_cycle
     from squeal_rig.model.cycles.cycle import SquealCycle, squeal_cycle
@@ -60,6 +61,7 @@ _HOMES = {
     "jacobian": "core.forces",
     "preset_names": "parameters",
     "safe_hit": "cycles.safe",
+    "sample_room": "core.layout",
     "simulate": "motion.trajectory",
     "simulate_blocks": "motion.trajectory",
     "simulate_many": "motion.ensemble",
@@ -103,6 +105,7 @@ __all__ = [
     "jacobian",
     "preset_names",
     "safe_hit",
+    "sample_room",
     "simulate",
     "simulate_blocks",
     "simulate_many",

@@ -37,6 +37,7 @@ def test_summaries_are_those_of_the_single_runs():
         kept = np.column_stack([run.x, run.y, run.vx, run.vy, run.normal_force, run.tangential_force])
         np.testing.assert_allclose(trace, kept[settled : settled + len(trace)], rtol=1e-6, atol=1e-12)
         x0, y0 = equilibrium(p)
+        assert row["peak_x"] == pytest.approx(np.max(np.abs(trace[:, 0] - x0)), rel=1e-9)
         assert row["peak_y"] == pytest.approx(np.max(np.abs(trace[:, 1] - y0)), rel=1e-9)
         assert row["rms_x"] == pytest.approx(np.sqrt(np.mean((trace[:, 0] - x0) ** 2)), rel=1e-9)
         assert row["contact_share"] * 0.1 + row["contact_loss_time"] == pytest.approx(0.1)

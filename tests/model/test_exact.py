@@ -254,6 +254,9 @@ def assert_blocks_give_the_bits_of_one_run(p, start):
         for first in range(0, 2000, size):
             motion.advance(parts[first : first + size])
         np.testing.assert_array_equal(parts, whole)
+    run = simulate(p, 1999 / RATE, RATE, start)
+    called = (run.x, run.y, run.vx, run.vy, run.normal_force, run.tangential_force)
+    np.testing.assert_array_equal(np.column_stack(called), whole)
     return whole
 
 

@@ -14,12 +14,13 @@ from squeal_rig.model import (
     eigenvalues,
     equilibrium,
     friction_coefficient,
+    sample_room,
     simulate,
     simulate_blocks,
     squeal_frequency,
 )
 from squeal_rig.model.core.layout import SAMPLE_SIZE
-from squeal_rig.model.motion.trajectory import validity_warnings
+from squeal_rig.model.motion.trajectory import ENGINES, validity_warnings
 
 SQUEALING = RigParameters(preload=300.0, damping_x=20.0, damping_y=20.0)
 
@@ -74,10 +75,24 @@ def test_a_bad_argument_of_simulate_blocks_is_refused_before_the_first_block(arg
         simulate_blocks(SQUEALING, **{"duration": 0.01, **arguments})
 
 
-def test_a_motion_fills_blocks_that_are_not_contiguous():
-    start, wide = displaced_state(SQUEALING, 0.4), np.zeros((100, 2 * SAMPLE_SIZE))
-    Motion(SQUEALING, 51200.0, start).advance(wide[:, ::2])
-    np.testing.assert_array_equal(wide[:, ::2], columns(simulate(SQUEALING, 99 / 51200.0, 51200.0, start)))
+@pytest.mark.parametrize(
+    "block",
+    [
+        np.zeros((100, 2 * SAMPLE_SIZE))[:, ::2],
+        np.zeros((SAMPLE_SIZE, 100)).T,
+        sample_room(100),
+        sample_room(200)[50:150],
+        np.zeros((100, 4)),
+    ],
+    ids=["every other column", "transposed", "room", "part of a room", "states alone"],
+)
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_motion_fills_blocks_of_any_layout(block, engine):
+    start = displaced_state(SQUEALING, 0.4)
+    block[:] = math.nan
+    Motion(SQUEALING, 51200.0, start, engine).advance(block)
+    run = columns(simulate(SQUEALING, 99 / 51200.0, 51200.0, start, engine))
+    np.testing.assert_array_equal(block, run[:, : block.shape[1]])
 
 
 def test_a_motion_resumed_from_its_state_goes_on_bit_for_bit():
@@ -139,13 +154,43 @@ def test_samples_are_at_multiples_of_the_sampling_interval_from_zero_to_the_dura
     assert {array.dtype for array in (run.t, run.x, run.y, run.vx, run.vy, run.normal_force)} == {np.dtype(np.float64)}
 
 
-def test_forces_are_those_of_the_contact_and_of_the_friction_law():
-    run = simulate(SQUEALING, 0.1)
-    p = SQUEALING
+@pytest.mark.parametrize("direction", ["constant", "slip"])
+@pytest.mark.parametrize("speed", ["belt", "slip"])
+def test_forces_are_those_of_the_contact_and_of_the_friction_law(direction, speed):
+    # A pad that overtakes the belt at first, whose slip passes the range in which tanh turns.
+    p = SQUEALING.replace(friction_direction=direction, friction_speed=speed, belt_speed=0.1, regularization_speed=1e-3)
+    run = simulate(p, 0.1, initial_state=displaced_state(p, 3.0) + np.array([0.0, 0.0, 0.3, 0.0]))
+    slip = p.belt_speed - run.vx
     normal = p.contact_stiffness * np.maximum(0.0, p.pretension_length - run.y)
+    speeds = np.abs(slip) if speed == "slip" else np.full(len(slip), p.belt_speed)
+    mu = np.array([friction_coefficient(p.replace(belt_speed=float(v), friction_speed="belt")) for v in speeds])
+    turned = np.tanh(slip / p.regularization_speed) if direction == "slip" else 1.0
     np.testing.assert_allclose(run.normal_force, normal, rtol=1e-15)
-    np.testing.assert_allclose(run.tangential_force, friction_coefficient(p) * normal, rtol=1e-15)
+    np.testing.assert_allclose(run.tangential_force, mu * turned * normal, rtol=1e-12)
     assert (run.normal_force == 0.0).any()
+    assert (slip < 0.0).any()
+    assert (np.abs(slip) < 5e-3).any()
+
+
+def test_a_block_that_has_no_room_for_samples_is_refused_and_an_empty_one_is_no_matter():
+    motion = Motion(SQUEALING, 51200.0)
+    with pytest.raises(ParameterError, match=r"shape \(10, 5\) must have 4 or 6 columns"):
+        motion.advance(np.empty((10, 5)))
+    motion.advance(np.empty((0, 6)))
+    np.testing.assert_array_equal(motion.state, Motion(SQUEALING, 51200.0).state)
+
+
+def test_a_motion_that_ends_says_when_whoever_asks():
+    # Friction that falls with the slip without end, and a pad without arms to hold it: many pieces later it is gone.
+    start = np.zeros(4)
+    p = RigParameters().replace(pad_stiffness=0.0, k3=0.0, k4=0.0, friction_speed="slip", mu_speed=-10.0)
+    with pytest.raises(ModelError) as called:
+        simulate(p, 5.0, initial_state=start)
+    block = np.full((256_001, 4), 7.0)
+    with pytest.raises(ModelError) as advanced:
+        Motion(p, 51200.0, start).advance(block)
+    assert str(called.value) == str(advanced.value)
+    assert block[-1, 0] == 7.0
 
 
 def test_the_sampling_rate_does_not_change_the_motion():

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from squeal_rig.errors import ModelError
 from squeal_rig.instruments.actuators import slewed
 from squeal_rig.instruments.settings import RigSettings
-from squeal_rig.model.core.layout import SAMPLE_SIZE
+from squeal_rig.model.core.layout import sample_room
 from squeal_rig.model.motion.trajectory import Motion, resting_state
 from squeal_rig.model.parameters import RigParameters
 
@@ -77,7 +77,7 @@ class EngineBench:
             if moved is not self._in_force:
                 self._in_force = moved
                 motion.set_parameters(moved)
-            out = np.empty((min(left, BLOCK if self._in_force is not self._set_point else _MANY), SAMPLE_SIZE))
+            out = sample_room(min(left, BLOCK if self._in_force is not self._set_point else _MANY))
             motion.advance(out)
             left -= len(out)
             yield out[:, 0].copy()

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from squeal_rig.model.core.kernel import kernel
+from squeal_rig.model.core.kernel import fused_kernel, kernel
 from squeal_rig.model.core.layout import (
     A1X,
     A1Y,
@@ -30,14 +30,22 @@ from squeal_rig.model.core.layout import (
     MU,
     MU_AT_ZERO,
     MU_SLOPE,
+    NORMAL,
+    SAMPLE_SIZE,
     SLIP_DIRECTION,
     SLIP_SPEED,
     SPEED,
+    TANGENTIAL,
     V_REG,
+    VX,
     Vector,
+    Y,
     pack,
 )
 from squeal_rig.model.parameters import RigParameters
+
+#: |s|/V_reg from which on tanh is computed as 1; that it is 1 to rounding from 19.1 on is enough for a path (`slip`).
+_TANH_IS_ONE = 22.0
 
 
 @kernel
@@ -49,8 +57,7 @@ def friction_ratio(vx: float, q: Vector) -> float:
         mu = q[MU_AT_ZERO] + q[MU_SLOPE] * abs(slip)
     if q[SLIP_DIRECTION] > 0.0:
         share = slip / q[V_REG]
-        # From 22 on tanh is 1 in every digit.
-        mu *= math.copysign(1.0, share) if abs(share) >= 22.0 else math.tanh(share)
+        mu *= math.copysign(1.0, share) if abs(share) >= _TANH_IS_ONE else math.tanh(share)
     return mu
 
 
@@ -76,6 +83,28 @@ def friction_ratio_slope(vx: float, q: Vector) -> float:
 def contact_force(y: float, q: Vector) -> float:
     """Normal contact force N = k_c max(0, L_pre - y) [N] at pad height y [m]."""
     return float(q[K_C] * max(0.0, q[L_PRE] - y))
+
+
+@fused_kernel
+def fill_forces(y: Vector, vx: Vector, q: Vector, normal: Vector, tangential: Vector) -> None:
+    """Fill N and F_t (n,) [N] at heights y (n,) [m] and velocities vx (n,) [m/s]."""
+    stiffness, edge, mu = q[K_C], q[L_PRE], q[MU]
+    for i in range(len(y)):
+        force = stiffness * max(0.0, edge - y[i])
+        normal[i], tangential[i] = force, mu * force
+    if q[SLIP_SPEED] > 0.0 or q[SLIP_DIRECTION] > 0.0:
+        # Up to this vx the ratio is mu in every digit.
+        plain = -math.inf if q[SLIP_SPEED] > 0.0 else q[SPEED] - _TANH_IS_ONE * q[V_REG]
+        for i in range(len(y)):
+            if vx[i] > plain and normal[i] > 0.0:
+                tangential[i] = friction_ratio(vx[i], q) * normal[i]
+
+
+@fused_kernel
+def add_forces(samples: Vector, q: Vector) -> None:
+    """Fill the forces of samples (n, 6), whose states are there; samples (n, 4) have no room for any."""
+    if samples.shape[1] == SAMPLE_SIZE:
+        fill_forces(samples[:, Y], samples[:, VX], q, samples[:, NORMAL], samples[:, TANGENTIAL])
 
 
 @kernel

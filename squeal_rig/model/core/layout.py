@@ -18,6 +18,7 @@ Vector = NDArray[np.float64]
 #: Columns of a block of samples: the state [m, m/s], then the forces on the pad [N].
 X, Y, VX, VY, NORMAL, TANGENTIAL = range(6)
 STATE_SIZE, SAMPLE_SIZE = 4, 6
+CACHE_LINE = 8  # numbers in it
 
 # Packed parameters, SI.
 MASS, K1, K2, K34, K_C, L_PRE, C_X, C_Y = range(8)
@@ -27,6 +28,17 @@ MU, MU_AT_ZERO, MU_SLOPE, SPEED, V_REG = range(16, 21)  # the friction law at V 
 SLIP_DIRECTION, SLIP_SPEED = 21, 22  # 1.0 where the switch is on
 COS_1, SIN_1, COS_2, SIN_2, SIGMA = range(23, 28)
 PACKED_SIZE = 28
+
+
+def sample_room(samples: int, columns: int = SAMPLE_SIZE) -> Vector:
+    """Room for a block of samples, float64 (samples, columns), which the exact engine fills in place.
+
+    Column stands after column, a cache line further apart than they are long. numba compiles the engine for each kind
+    of layout; such blocks and slices of them have one and the same, since none is contiguous, and so have transposed
+    slices of columns in compiled code. Columns 4096 bytes apart would share a place in the nearest cache.
+    """
+    room: Vector = np.empty((columns, samples + CACHE_LINE)).T
+    return room[:samples]
 
 
 def checked_arrays(

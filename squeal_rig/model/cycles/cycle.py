@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from squeal_rig.errors import ModelError
-from squeal_rig.model.core.layout import SAMPLE_SIZE, VX, Vector
+from squeal_rig.model.core.layout import SAMPLE_SIZE, STATE_SIZE, VX, Vector, sample_room
 from squeal_rig.model.core.statics import equilibrium
 from squeal_rig.model.cycles import flow
 from squeal_rig.model.cycles.border import hard_branch, shooter_at
@@ -200,7 +200,7 @@ def _settled(path: Path, state: Vector) -> SquealCycle:
     far = 0.01 * min(p.arm_length_1, p.arm_length_2)
     periods = float(_FIRST_TRY)
     for _ in range(_TRIES):
-        block = np.empty((int(periods) * _SAMPLES_PER_PERIOD, SAMPLE_SIZE))
+        block = sample_room(int(periods) * _SAMPLES_PER_PERIOD, STATE_SIZE)
         try:
             motion.advance(block)
         except ModelError as error:

@@ -29,6 +29,7 @@ from squeal_rig.model.core.layout import (
     A2Y,
     C_X,
     C_Y,
+    CACHE_LINE,
     K1,
     K2,
     K34,
@@ -36,10 +37,11 @@ from squeal_rig.model.core.layout import (
     L2,
     L_PRE,
     MASS,
-    SAMPLE_SIZE,
+    STATE_SIZE,
     VX,
     Vector,
     pack,
+    sample_room,
 )
 from squeal_rig.model.core.statics import equilibrium
 from squeal_rig.model.cycles import flow
@@ -106,7 +108,7 @@ class Judge:
         """
         _, outlasted, interval, _, far = self.limits
         maps, w, tally = self.flow.copy(), exact.workspace(), np.zeros(exact.TALLY_SIZE)
-        block, events = np.empty((_BLOCK, SAMPLE_SIZE)), np.empty((0, 2))
+        block, events = sample_room(_BLOCK, STATE_SIZE), np.empty((0, 2))
         while True:
             ended, _ = stepping.advance(state, self.q, maps, 1, w, tally, events, block)
             spent += _BLOCK * interval
@@ -218,7 +220,8 @@ def _judge(
     times: Vector,
 ) -> None:
     reach, outlasted, interval, longest, far = limits
-    block, w = np.empty((_BLOCK, SAMPLE_SIZE)), np.zeros((ROWS, MAX_ORDER + 1))
+    # As `sample_room`, which compiled code cannot call.
+    block, w = np.empty((STATE_SIZE, _BLOCK + CACHE_LINE)).T[:_BLOCK], np.zeros((ROWS, MAX_ORDER + 1))
     tally, events = np.zeros(exact.TALLY_SIZE), np.empty((0, 2))
     room, columns, sums = np.zeros((flow.ROWS, flow.ORDER + 1)), np.zeros((4, 5)), np.zeros(flow.TALLY_SIZE)
     state, on_section = np.empty(4), np.empty(4)
@@ -248,7 +251,7 @@ def _judge(
                 nearest = math.inf
                 for i in range(_BLOCK - _LOOK, _BLOCK - 1):
                     if block[i, VX] > 0.0 >= block[i + 1, VX]:
-                        on_section[:] = block[i, :4]
+                        on_section[:] = block[i]
                         took = flow.to_section(on_section, columns, q, longest, latest, room, sums)
                         if took <= latest:
                             nearest = min(nearest, _distance(on_section, cycle))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from squeal_rig.errors import ModelError
-from squeal_rig.model.core.layout import SAMPLE_SIZE, Vector, pack
+from squeal_rig.model.core.layout import STATE_SIZE, Vector, pack, sample_room
 from squeal_rig.model.motion import exact, stepping
 from squeal_rig.model.motion.propagator import make_propagators, substeps_needed
 from squeal_rig.model.motion.trajectory import checked_state, displaced_state, refuse_unless_positive
@@ -54,7 +54,7 @@ def contact_events(
     interval = 1.0 / sample_rate
     substeps = substeps_needed(q, interval, interval)
     make_propagators(q, interval / substeps, flow)
-    tally, room, block = np.zeros(exact.TALLY_SIZE), np.empty((_ROOM, 2)), np.empty((_BLOCK, SAMPLE_SIZE))
+    tally, room, block = np.zeros(exact.TALLY_SIZE), np.empty((_ROOM, 2)), sample_room(_BLOCK, STATE_SIZE)
     found = []
     samples = math.ceil(duration * sample_rate * (1.0 - 1e-12))
     for first in range(0, samples, _BLOCK):

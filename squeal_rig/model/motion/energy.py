@@ -22,9 +22,10 @@ from squeal_rig.model.core.layout import (
     LOAD_X,
     LOAD_Y,
     MASS,
-    SAMPLE_SIZE,
+    STATE_SIZE,
     Vector,
     pack,
+    sample_room,
 )
 from squeal_rig.model.motion import exact, stepping
 from squeal_rig.model.motion.exact import MAX_PIECES
@@ -79,7 +80,7 @@ def _work(samples: Vector, q: Vector, flow: Vector, interval: float, w: Vector, 
     """
     state, at = np.empty(4), np.empty(4)
     for i in range(samples.shape[0]):
-        state[:] = samples[i, :4]
+        state[:] = samples[i]
         rest = interval
         for _ in range(MAX_PIECES):
             share, order, what = next_piece(state, q, flow, rest, w)
@@ -125,7 +126,7 @@ def energy_balance(
     state = displaced_state(p, 0.1) if initial_state is None else checked_state(initial_state)
     start = state.copy()
     tally, events, sums = np.zeros(exact.TALLY_SIZE), np.empty((0, 2)), np.zeros(3)
-    block, largest = np.empty((_BLOCK, SAMPLE_SIZE)), 0.0
+    block, largest = sample_room(_BLOCK, STATE_SIZE), 0.0
     samples = math.ceil(duration * sample_rate * (1.0 - 1e-12))
     for first in range(0, samples, _BLOCK):
         part = block[: samples - first]

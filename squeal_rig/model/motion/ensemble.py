@@ -17,7 +17,18 @@ from numpy.typing import ArrayLike, NDArray
 from squeal_rig.configuration.declared import declarations
 from squeal_rig.errors import ParameterError
 from squeal_rig.model.core.kernel import kernel, reduction_kernel
-from squeal_rig.model.core.layout import L_PRE, PACKED_SIZE, SAMPLE_SIZE, Vector, checked_arrays, pack
+from squeal_rig.model.core.layout import (
+    CACHE_LINE,
+    L_PRE,
+    PACKED_SIZE,
+    SAMPLE_SIZE,
+    STATE_SIZE,
+    Vector,
+    X,
+    Y,
+    checked_arrays,
+    pack,
+)
 from squeal_rig.model.core.statics import FOUND, rest_position
 from squeal_rig.model.motion.exact import CONTACT_TIME, DONE, SEPARATIONS, TALLY_SIZE
 from squeal_rig.model.motion.propagator import FLOW_SIZE, propagators, substeps_needed
@@ -171,7 +182,9 @@ def _summarise(
     """Run each row of `packed` and fill its row of `table`, and of `kept` (runs, samples, 6) where it has any."""
     flow, w = np.empty(FLOW_SIZE), np.zeros((ROWS, MAX_ORDER + 1))
     tally, events = np.zeros(TALLY_SIZE), np.empty((0, 2))
-    block, state, sums = np.empty((_BLOCK, SAMPLE_SIZE)), np.empty(4), np.empty(_SUMS)
+    # Transposed it is as a `sample_room`, which compiled code cannot make.
+    columns = np.empty((SAMPLE_SIZE if kept.shape[0] > 0 else STATE_SIZE, _BLOCK + CACHE_LINE))
+    state, sums = np.empty(STATE_SIZE), np.empty(_SUMS)
     # Not a 0 in the calls: for a constant numba would compile the engine once more.
     beginning = int(tally[CONTACT_TIME])
     for run in range(packed.shape[0]):
@@ -185,7 +198,7 @@ def _summarise(
         state[0], state[1], state[2], state[3] = x, y - starts[run] * (q[L_PRE] - y), 0.0, 0.0
         ended = DONE
         for first in range(0, settling, _BLOCK):
-            part = block[: min(_BLOCK, settling - first)]
+            part = columns.T[: min(_BLOCK, settling - first)]
             ended, _ = advance_any(state, q, flow, substeps, w, tally, events, part, beginning)
             if ended != DONE:
                 break
@@ -196,12 +209,12 @@ def _summarise(
         for first in range(0, samples, _BLOCK):
             if ended != DONE:
                 break
-            part = block[: min(_BLOCK, samples - first)]
+            part = columns.T[: min(_BLOCK, samples - first)]
             ended, _ = advance_any(state, q, flow, substeps, w, tally, events, part, beginning)
             if kept.shape[0] > 0 and ended == DONE:
                 kept[run, first : first + part.shape[0]] = part
-            _add_block(part, first, x, y, previous, sums)
-            previous = part[part.shape[0] - 1, 0]
+            _add_block(columns[X, : len(part)], columns[Y, : len(part)], first, x, y, previous, sums)
+            previous = columns[X, len(part) - 1]
         table[run, _STATUS] = ended
         if ended == DONE:
             _finish(sums, tally, samples, interval, table[run])
@@ -216,19 +229,24 @@ _SUMS = 12
 
 
 @reduction_kernel
-def _add_block(part: Vector, first: int, x0: float, y0: float, previous: float, sums: Vector) -> None:
-    """Add one block of samples, the first of which has index `first`; `previous` is the x before it."""
+def _add_block(xs: Vector, ys: Vector, first: int, x0: float, y0: float, previous: float, sums: Vector) -> None:
+    """Add one block of samples x, y (n,), the first of which has index `first`; `previous` is the x before it."""
     square_x, square_y = 0.0, 0.0
     peak_x, peak_y = sums[_PEAK_X], sums[_PEAK_Y]
-    for i in range(part.shape[0]):
-        x, y = part[i, 0] - x0, part[i, 1] - y0
+    # As in `columns.widen`: most blocks have no new peak.
+    beyond = 0
+    for i in range(len(xs)):
+        x, y = xs[i] - x0, ys[i] - y0
         square_x += x * x
         square_y += y * y
-        peak_x, peak_y = max(peak_x, abs(x)), max(peak_y, abs(y))
-    sums[_PEAK_X], sums[_PEAK_Y] = peak_x, peak_y
+        beyond += int(abs(x) > peak_x) + int(abs(y) > peak_y)
+    if beyond > 0:
+        for i in range(len(xs)):
+            peak_x, peak_y = max(peak_x, abs(xs[i] - x0)), max(peak_y, abs(ys[i] - y0))
+        sums[_PEAK_X], sums[_PEAK_Y] = peak_x, peak_y
     before = previous - x0
-    for i in range(part.shape[0]):
-        x = part[i, 0] - x0
+    for i in range(len(xs)):
+        x = xs[i] - x0
         if before < 0.0 <= x:
             sums[_LAST_PASSAGE] = first + i - x / (x - before)
             if sums[_PASSAGES] == 0.0:
@@ -237,7 +255,7 @@ def _add_block(part: Vector, first: int, x0: float, y0: float, previous: float, 
         before = x
     sums[_SQUARE_X] += square_x
     sums[_SQUARE_Y] += square_y
-    if part.shape[0] == _BLOCK and square_x + square_y > 0.0:
+    if len(xs) == _BLOCK and square_x + square_y > 0.0:
         index = first / _BLOCK
         logarithm = math.log(square_x + square_y)
         sums[_BLOCKS] += 1.0

@@ -20,9 +20,9 @@ from __future__ import annotations
 import numpy as np
 
 from squeal_rig.errors import ModelError
-from squeal_rig.model.core.forces import acceleration
+from squeal_rig.model.core.forces import acceleration, add_forces
 from squeal_rig.model.core.kernel import fused_kernel, inlined_kernel
-from squeal_rig.model.core.layout import K_C, L_PRE, MU, Vector
+from squeal_rig.model.core.layout import CACHE_LINE, L_PRE, VX, VY, Vector, X, Y
 from squeal_rig.model.motion.cubic import evaluate_all
 from squeal_rig.model.motion.near import evaluate_near, expand_near, first_zero_near
 from squeal_rig.model.motion.propagator import (
@@ -54,7 +54,6 @@ TALLY_SIZE = 6
 #: How a block ended.
 DONE, NOT_FINITE, STUCK, OVER_BUDGET, BEYOND = range(5)
 
-_CACHE_LINE = 8  # numbers in it
 MAX_PIECES = 100_000
 # Where a diverging motion is given up: long before its numbers overflow.
 _BEYOND_M, _BEYOND_M_S = 1e6, 1e12
@@ -67,8 +66,8 @@ def workspace() -> Vector:
 
 def empty_flow() -> Vector:
     """Room for the propagators of one set of parameters, from the start of a cache line on: vector loads are faster."""
-    room = np.zeros(FLOW_SIZE + _CACHE_LINE)
-    first = -(room.ctypes.data // room.itemsize) % _CACHE_LINE
+    room = np.zeros(FLOW_SIZE + CACHE_LINE)
+    first = -(room.ctypes.data // room.itemsize) % CACHE_LINE
     return room[first : first + FLOW_SIZE]
 
 
@@ -215,13 +214,9 @@ def _is_clear(path: Vector, low: float, high: float, near: float, fastest: float
 
 
 @inlined_kernel
-def _write_sample(
-    out: Vector, n: int, x: float, y: float, vx: float, vy: float, edge: float, stiffness: float, mu: float
-) -> None:
-    """Put the sample x, y, vx, vy, N, F_t of a pad with constant friction into row n."""
-    normal = stiffness * max(0.0, edge - y)
-    out[n, 0], out[n, 1], out[n, 2], out[n, 3] = x, y, vx, vy
-    out[n, 4], out[n, 5] = normal, mu * normal
+def _write_sample(out: Vector, n: int, x: float, y: float, vx: float, vy: float) -> None:
+    """Put a state into row n; its forces are added when the block is full."""
+    out[n, X], out[n, Y], out[n, VX], out[n, VY] = x, y, vx, vy
 
 
 @fused_kernel
@@ -236,15 +231,14 @@ def glide(
     steps: int,
     out: Vector,
 ) -> int:
-    """Plain steps from number `first` on, up to `steps` or the first that is not proven; samples on the way to `out`.
+    """Plain steps from number `first` on, up to `steps` or the first that is not proven; states on the way to `out`.
 
     Friction is constant as long as vx < `fastest` at both ends of a step [m/s].
     Returns the number of the step not taken; `state` is its start, and already in `out` where it is a sample.
     """
     path, m = flow[PATH:PASSED], flow[:OFF_BELT] if contact else flow[OFF_BELT:CONTACT_LIMITS]
     limits = flow[CONTACT_LIMITS:OFF_BELT_LIMITS] if contact else flow[OFF_BELT_LIMITS:GX]
-    stiffness, edge, mu, h, tube = q[K_C], q[L_PRE], q[MU], flow[STEP], limits[TUBE]
-    near = flow[NEAR]
+    edge, h, tube, near = q[L_PRE], flow[STEP], limits[TUBE], flow[NEAR]
     low, high = (-near, min(near, edge - tube)) if contact else (max(-near, edge + tube), near)
     x, y, vx, vy = state[0], state[1], state[2], state[3]
     clear = low < y < high and abs(x) < near and vx < fastest
@@ -261,15 +255,15 @@ def glide(
             k = 0
             # All of it at once, where nothing has to be looked at more closely: what is done nearly always.
             if whole and clear and substeps == 1 and n + AHEAD <= steps and _is_clear(path, low, high, near, fastest):
-                _write_sample(out, n, x, y, vx, vy, edge, stiffness, mu)
+                _write_sample(out, n, x, y, vx, vy)
                 for i in range(1, AHEAD):
                     o = 4 * i
-                    _write_sample(out, n + i, path[o], path[o + 1], path[o + 2], path[o + 3], edge, stiffness, mu)
+                    _write_sample(out, n + i, path[o], path[o + 1], path[o + 2], path[o + 3])
                 x, y, vx, vy = path[0], path[1], path[2], path[3]
                 n, sample, k = n + AHEAD, sample + AHEAD, ALL_PASSED
                 continue
         if past_sample == 0:
-            _write_sample(out, sample, x, y, vx, vy, edge, stiffness, mu)
+            _write_sample(out, sample, x, y, vx, vy)
         place = place_in_path(k)
         next_x, next_y, next_vx = path[place], path[place + 1], path[place + 2]
         next_clear = low < next_y < high and abs(next_x) < near and next_vx < fastest
@@ -300,8 +294,8 @@ def advance(
     events: Vector,
     out: Vector,
 ) -> tuple[int, int]:
-    """Fill `out` (n, 6) with samples x, y, vx, vy, N, F_t from `state` (4,) on, which ends one interval after the
-    last; friction is constant, and the pad in the near range.
+    """Fill `out` (n, 4) or (n, 6) with samples x, y, vx, vy and, where it has room, N, F_t from `state` (4,) on, which
+    ends one interval after the last; friction is constant, and the pad in the near range.
 
     Args:
         state: x, y, vx, vy [m, m/s].
@@ -312,7 +306,7 @@ def advance(
         tally: contact time [s], separations and events are added up in it; event times in a block start at 0. With a
             `BUDGET` above 0 the block is given up after so many steps and pieces.
         events: room (m, 2) for the first m events of the block.
-        out: room for the samples.
+        out: room for the samples, of the layout of `sample_room`.
 
     Returns:
         how the block ended, and the number of samples filled; after `BEYOND`, which only `stepping` knows how to go on
@@ -337,7 +331,7 @@ def advance(
         if ended != DONE:
             return ended, (step - 1) // substeps + 1
         contact = is_in_contact(state, q)
-    end_block(flow, tally, contact, steps)
+    end_block(q, flow, tally, contact, steps, out)
     return DONE, out.shape[0]
 
 
@@ -349,8 +343,9 @@ def begin_block(tally: Vector, samples: int, substeps: int) -> tuple[int, int, f
 
 
 @inlined_kernel
-def end_block(flow: Vector, tally: Vector, contact: bool, steps: int) -> None:
-    """Count what the last event left open, and the steps."""
+def end_block(q: Vector, flow: Vector, tally: Vector, contact: bool, steps: int, out: Vector) -> None:
+    """Count what the last event left open, and the steps; the samples' forces where `out` has room for them."""
+    add_forces(out, q)
     flow[STEPS] = (int(flow[STEPS]) + steps) % AHEAD
     if contact:
         tally[CONTACT_TIME] += steps * flow[STEP] - tally[SINCE]

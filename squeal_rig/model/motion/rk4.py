@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 
-from squeal_rig.model.core.forces import acceleration, contact_force, friction_ratio
+from squeal_rig.model.core.forces import acceleration, add_forces
 from squeal_rig.model.core.kernel import kernel
-from squeal_rig.model.core.layout import NORMAL, TANGENTIAL, VX, VY, Vector, X, Y
+from squeal_rig.model.core.layout import VX, VY, Vector, X, Y
 
 
 @kernel
 def advance(state: Vector, q: Vector, interval: float, substeps: int, out: Vector) -> int:
-    """Fill `out` (n, 6) with samples `interval` [s] apart, from `state` (4,) on, left one interval after the last.
+    """Fill `out` (n, 4) or (n, 6) with samples x, y, vx, vy and, where it has room, N, F_t, `interval` [s] apart, from
+    `state` (4,) on, left one interval after the last.
 
     Returns the number of finite samples: below n the motion left every bound.
     """
@@ -20,9 +21,7 @@ def advance(state: Vector, q: Vector, interval: float, substeps: int, out: Vecto
     for i in range(out.shape[0]):
         if not math.isfinite(x + y + vx + vy):
             return i
-        normal = contact_force(y, q)
         out[i, X], out[i, Y], out[i, VX], out[i, VY] = x, y, vx, vy
-        out[i, NORMAL], out[i, TANGENTIAL] = normal, friction_ratio(vx, q) * normal
         for _ in range(substeps):
             ax1, ay1 = acceleration(x, y, vx, vy, q)
             vx2, vy2 = vx + 0.5 * h * ax1, vy + 0.5 * h * ay1
@@ -36,4 +35,5 @@ def advance(state: Vector, q: Vector, interval: float, substeps: int, out: Vecto
             vx += h / 6.0 * (ax1 + 2.0 * ax2 + 2.0 * ax3 + ax4)
             vy += h / 6.0 * (ay1 + 2.0 * ay2 + 2.0 * ay3 + ay4)
     state[0], state[1], state[2], state[3] = x, y, vx, vy
+    add_forces(out, q)
     return len(out)

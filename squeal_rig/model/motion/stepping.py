@@ -17,9 +17,9 @@ import math
 
 import numpy as np
 
-from squeal_rig.model.core.forces import acceleration, friction_ratio
+from squeal_rig.model.core.forces import acceleration
 from squeal_rig.model.core.kernel import fused_kernel, inlined_kernel
-from squeal_rig.model.core.layout import K_C, L_PRE, SLIP_DIRECTION, SLIP_SPEED, SPEED, V_REG, Vector
+from squeal_rig.model.core.layout import L_PRE, SLIP_DIRECTION, SLIP_SPEED, SPEED, V_REG, Vector
 from squeal_rig.model.motion import exact
 from squeal_rig.model.motion.exact import (
     BEYOND,
@@ -287,7 +287,7 @@ def _glide_by_series(
     out: Vector,
 ) -> tuple[int, bool]:
     """As `glide`, by series; ends where a path does and the maps serve again, which is the second answer."""
-    stiffness, edge = q[K_C], q[L_PRE]
+    edge = q[L_PRE]
     sample = first // substeps
     past_sample = first - sample * substeps
     k = first_not_passed(state, flow, SERIES)
@@ -298,10 +298,8 @@ def _glide_by_series(
                 return n, True
             k = _fill_path(state, q, flow, contact, w)
         if past_sample == 0:
-            normal = stiffness * max(0.0, edge - state[1])
             for i in range(4):
                 out[sample, i] = state[i]
-            out[sample, 4], out[sample, 5] = normal, friction_ratio(state[2], q) * normal
         if k == ALL_PASSED:
             return n, False
         place = PATH + place_in_path(k)
@@ -363,8 +361,13 @@ def advance_any(
         contact = is_in_contact(state, q)
         fastest = _fastest(q, flow, contact)
         series = not _maps_serve(state, flow, fastest)
-    end_block(flow, tally, contact, steps)
+    end_block(q, flow, tally, contact, steps, out)
     return DONE, out.shape[0]
+
+
+def is_plain(q: Vector, flow: Vector) -> bool:
+    """Whether `exact.advance` serves until it says otherwise: friction is constant, and no series is under way."""
+    return not (q[SLIP_SPEED] or q[SLIP_DIRECTION] or flow[KIND] == SERIES)
 
 
 def advance(
@@ -383,7 +386,7 @@ def advance(
         how the block ended, and the number of samples filled.
     """
     step = 0
-    if not (q[SLIP_SPEED] or q[SLIP_DIRECTION] or flow[KIND] == SERIES):
+    if is_plain(q, flow):
         ended, step = exact.advance(state, q, flow, substeps, w, tally, events, out)
         if ended != BEYOND:
             return ended, step

@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from squeal_rig.errors import ParameterError
-from squeal_rig.model.core.forces import contact_force, friction_ratio
-from squeal_rig.model.core.kernel import kernel, reduction_kernel
-from squeal_rig.model.core.layout import SAMPLE_SIZE, STATE_SIZE, VX, VY, Vector, X, Y, pack
+from squeal_rig.model.core.forces import fill_forces
+from squeal_rig.model.core.layout import SAMPLE_SIZE, STATE_SIZE, VX, Vector, pack, sample_room
 from squeal_rig.model.core.statics import equilibrium
-from squeal_rig.model.motion import exact, propagator, rk4, stepping
+from squeal_rig.model.motion import columns, exact, propagator, rk4, stepping
 from squeal_rig.model.parameters import RigParameters
 
 ENGINES = ("exact", "rk4")
@@ -27,7 +26,6 @@ LARGE_DISPLACEMENT = 0.01
 _START_COMPRESSIONS = 0.1
 _MAX_SAMPLES = 2**31
 _LARGE_PAGE = 2**18  # numbers in 2 MB
-_PIECE = 2048  # samples that are filed while they are in the nearer caches
 
 
 @dataclass(frozen=True)
@@ -64,16 +62,8 @@ class Trajectory:
     @cached_property
     def _forces(self) -> tuple[Vector, Vector]:
         normal, tangential = np.empty(len(self.x)), np.empty(len(self.x))
-        _fill_forces(self.y, self.vx, pack(self.parameters), normal, tangential)
+        fill_forces(self.y, self.vx, pack(self.parameters), normal, tangential)
         return normal, tangential
-
-
-@kernel
-def _fill_forces(y: Vector, vx: Vector, q: Vector, normal: Vector, tangential: Vector) -> None:
-    """Fill N and F_t (n,) [N] at heights y (n,) [m] and velocities vx (n,) [m/s]."""
-    for i in range(len(y)):
-        normal[i] = contact_force(y[i], q)
-        tangential[i] = friction_ratio(vx[i], q) * normal[i]
 
 
 class Motion:
@@ -146,42 +136,50 @@ class Motion:
         self._state[3] += dvy
 
     def advance(self, out: Vector) -> None:
-        """Fill `out` (n, 6) with x, y, vx, vy, N, F_t at the next n samples.
+        """Fill `out` (n, 6) with x, y, vx, vy, N, F_t at the next n samples, or (n, 4) with the first four of them.
+
+        A contiguous block is filled by way of a `sample_room` of its size, any other directly.
 
         Raises:
-            ModelError: the motion left every bound, or used up its budget.
+            ParameterError: the block has neither 4 nor 6 columns.
+            ModelError: the motion left every bound, or used up its budget; states are filled up to there, forces not.
         """
-        self._advance(out, 0)
+        if out.ndim != 2 or out.shape[1] not in (STATE_SIZE, SAMPLE_SIZE):
+            raise ParameterError(
+                f"a block of samples of shape {out.shape} must have {STATE_SIZE} or {SAMPLE_SIZE} columns"
+            )
+        if len(out) == 0:
+            return
+        room = sample_room(*out.shape) if out.flags.forc else out
+        if self._engine == "exact":
+            ended, filled = stepping.advance(*self._exact(), room)
+        else:
+            filled = rk4.advance(self._state, self._packed, self._interval, self._substeps, room)
+            ended = exact.DONE if filled == len(out) else exact.NOT_FINITE
+        if room is not out:
+            out[:filled] = room[:filled]
+        exact.refuse_unless_done(ended, filled * self._interval)
 
     def advance_columns(self, out: Vector) -> tuple[float, float]:
         """Fill `out` (4, n) with x, y, vx, vy at the next n samples, a row each.
 
         Returns the fastest vx [m/s] and the largest displacement [m] among them.
+
+        Raises:
+            ModelError: as `advance`; a budget is one for each 512 samples.
         """
-        samples, extremes = out.shape[1], np.array([-math.inf, 0.0])
-        piece = np.empty((min(_PIECE, samples), SAMPLE_SIZE))
-        for start in range(0, samples, _PIECE):
-            part = piece[: samples - start]
-            self._advance(part, start)
-            _file(part, out, start, extremes)
+        extremes = np.array([-math.inf, 0.0])
+        if self._engine == "exact":
+            ended, filled = columns.advance(*self._exact(), out, extremes)
+            exact.refuse_unless_done(ended, filled * self._interval)
+        else:
+            self.advance(out.T)
+            columns.widen(out, 0, out.shape[1], extremes)
         return float(extremes[0]), float(extremes[1])
 
-    def _advance(self, out: Vector, before: int) -> None:
-        if self._engine == "rk4":
-            filled = rk4.advance(self._state, self._packed, self._interval, self._substeps, out)
-            ended = exact.DONE if filled == len(out) else exact.NOT_FINITE
-        else:
-            ended, filled = stepping.advance(
-                self._state,
-                self._packed,
-                self._flow,
-                self._substeps,
-                self._workspace,
-                self._tally,
-                self._events,
-                out,
-            )
-        exact.refuse_unless_done(ended, (before + filled) * self._interval)
+    def _exact(self) -> tuple[Vector, Vector, Vector, int, Vector, Vector, Vector]:
+        """What every call of the exact engine takes first."""
+        return self._state, self._packed, self._flow, self._substeps, self._workspace, self._tally, self._events
 
 
 def resting_state(p: RigParameters) -> Vector:
@@ -271,10 +269,10 @@ def _sample_count(duration: float, sample_rate: float, at_most: float = _MAX_SAM
 
 def _trajectory(motion: Motion, first: int, samples: int) -> Trajectory:
     """The motion's next samples, of which the first has the number `first`."""
-    columns = _room(STATE_SIZE * samples).reshape(STATE_SIZE, samples)
-    extremes = motion.advance_columns(columns)
+    states = _room(STATE_SIZE * samples).reshape(STATE_SIZE, samples)
+    extremes = motion.advance_columns(states)
     p = motion.parameters
-    x, y, vx, vy = columns
+    x, y, vx, vy = states
     return Trajectory(x, y, vx, vy, tuple(_warnings(p, *extremes)), p, motion.sample_rate, first)
 
 
@@ -285,22 +283,6 @@ def _room(numbers: int) -> Vector:
     room = np.empty(numbers + _LARGE_PAGE)
     before = -(room.ctypes.data // room.itemsize) % _LARGE_PAGE
     return room[before : before + numbers]
-
-
-@reduction_kernel
-def _file(part: Vector, out: Vector, first: int, extremes: Vector) -> None:
-    """Put the states of samples (m, 6), still in the cache, into m columns of `out` (4, n) from number `first` on, and
-    widen `extremes`: the largest vx, and the largest |x| or |y|.
-
-    Not into a slice of `out`: only a slice that is the whole is contiguous, and numba would keep code for both.
-    """
-    fastest, largest = extremes[0], extremes[1]
-    for i in range(part.shape[0]):
-        x, y, vx = part[i, X], part[i, Y], part[i, VX]
-        n = first + i
-        out[X, n], out[Y, n], out[VX, n], out[VY, n] = x, y, vx, part[i, VY]
-        fastest, largest = max(fastest, vx), max(largest, abs(x), abs(y))
-    extremes[0], extremes[1] = fastest, largest
 
 
 def validity_warnings(p: RigParameters, samples: Vector) -> list[str]:
