@@ -9,16 +9,17 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from benchmarks import cycles, instruments
-from benchmarks.case import amplification, expected_states
+from benchmarks.case import DURATION, amplification, expected_states, ratio, speeds_in_turns
 from benchmarks.peers import Point, all_points, real_time
 from benchmarks.taylor import lanes_speed, slip_points, slip_table
 from benchmarks.throughput import (
     ManyRuns,
     many_runs,
     map_times,
-    operating_points,
+    one_call,
     propagation_speed,
     simulate_speed,
+    thread_efficiency,
     trajectory_speed,
 )
 
@@ -78,7 +79,9 @@ def best_at(points: list[Point], prefix: str) -> Point | None:
 
 
 def strongest_text(points: list[Point], first: float, later: float, blocks: float) -> str:
-    """The strongest peer where the exact engine works, against it and against `simulate`, in simulated s per wall s."""
+    """The strongest peer where the exact engine works, in turns with it and with `simulate`, whose speeds in a fresh
+    process are `first`, `later` and, of the engine, `blocks` in simulated s per wall s.
+    """
     text = (
         f"`simulate(p, 5.0)` runs {first:.0f} times real time in the first call of a fresh process, once the code is"
         f" loaded, and {later:.0f} later: {first / blocks:.2f} and {later / blocks:.2f} of the engine in blocks,"
@@ -90,24 +93,27 @@ def strongest_text(points: list[Point], first: float, later: float, blocks: floa
         return f"No peer reaches an error of {STRICT:g}.\n\n{text}"
     best = min(peers, key=lambda point: point.seconds)
     exact = next(point for point in points if point.solver == "exact")
+    runs = [(best.run, DURATION), (exact.run, DURATION), (one_call, 5.0)]
+    peer, own, called = speeds_in_turns(runs, 5.0)
+    simulated = ratio(called, peer)
     return (
         f"At errors <= {STRICT:g} the strongest peer is {best.solver} ({best.setting}, error {best.error:.1e}):"
-        f" {real_time(best):.0f} times real time. The engine in blocks is {best.seconds / exact.seconds:.1f} times as"
-        f" fast on this case, `simulate(p, 5.0)` {first / real_time(best):.1f} times in its first call and"
-        f" {later / real_time(best):.1f} times later.\n\n{text}"
+        f" {real_time(best):.0f} times real time. Measured in turns with it, the engine is {ratio(own, peer):.1f} times"
+        f" as fast on this case and `simulate(p, 5.0)` {simulated:.1f} times; in its first call, which has"
+        f" {first / later:.2f} of the speed of later ones, {simulated * first / later:.1f} times.\n\n{text}"
     )
 
 
-def lanes_text(lanes: tuple[int, float] | None, alone: ManyRuns) -> str:
+def lanes_text(lanes: tuple[int, float, float, float] | None) -> str:
     """heyoka's batch mode beside `simulate_many` on one core."""
     if lanes is None:
         return "heyoka's batch mode: not measured (heyoka is not installed)."
-    own = alone.points * alone.duration / alone.seconds
+    width, peer, own, faster = lanes
     return (
-        f"The peer is heyoka's batch mode, {lanes[0]} runs in SIMD lanes on one core, without any samples:"
-        f" {lanes[1]:.0f} simulated s per wall s. `simulate_many` on one core, summaries of every sample included, is"
-        f" {own / lanes[1]:.1f} times as fast. heyoka's event callbacks are Python here, which costs it a part of that:"
-        " the lanes wait for each other's."
+        f"The peer is heyoka's batch mode, {width} runs in SIMD lanes on one core, without any samples: {peer:.0f}"
+        f" simulated s per wall s. `simulate_many` with one thread does {own:.0f}, summaries of every sample included:"
+        f" in turns it is {faster:.1f} times as fast. heyoka's event callbacks are Python here, which costs it a part"
+        " of that: the lanes wait for each other's."
     )
 
 
@@ -178,12 +184,12 @@ def engine() -> str:
     cores = os.cpu_count() or 1
     alone, together = (many_runs(2000, 0.5, threads, 3) for threads in (1, cores))
     runs = [many_runs(n, duration, cores) for n, duration in ((100, 0.5), (1000, 0.5), (10_000, 0.5), (100_000, 0.05))]
-    efficiency = alone.seconds / together.seconds / cores
+    efficiency = thread_efficiency(500, cores)
     maps = map_times()
     speeds = simulate_speed()
     try:
         slip_text = slip_table(slip_points(), STRICT)
-        lanes = lanes_speed(operating_points(64), 0.5, 3.0)
+        lanes = lanes_speed(64, 0.5, 3.0)
     except ImportError as error:
         slip_text, lanes = f"Not measured ({error}).", None
     draw(points, [alone, *runs])
@@ -191,7 +197,8 @@ def engine() -> str:
     return f"""# Benchmarks
 
 Written by `make bench`; every ratio is of figures measured in one run. {machine()}
-Times are the best of some repeats, since other work on the machine only adds.
+Times are the best of some repeats, since other work on the machine only adds. Ratios to heyoka in sentences and in the
+table of slip friction are medians of rounds in which both take turns, since machines change their speed.
 
 The case: preset, F = 300 N, V = 1 m/s, k = 6e7 N/m, c = 20 N s/m, the pad let go 3 static compressions towards the
 belt, 50 ms at 51.2 kHz, about 90 contact events. Reference: DOP853, rtol 1e-12, atol 1e-18 m, restarted at each event.
@@ -220,10 +227,11 @@ The same case with `friction_direction: slip` (V_reg = 0.01 m/s), with `friction
 ## Many operating points
 
 Points spread evenly over the paper's range, c = 20 N s/m, started 3 static compressions off. 2000 points:
-{alone.seconds:.2f} s with 1 thread, {together.seconds:.2f} s with {cores}: efficiency {efficiency:.0%}. Making the
-parameters is part of it: one set, and arrays of what varies.
+{alone.seconds:.2f} s with 1 thread, {together.seconds:.2f} s with {cores}. Making the parameters is part of it: one
+set, and arrays of what varies. The efficiency of {cores} threads on 500 points, by the best of some rounds, is
+{efficiency:.0%}.
 
-{lanes_text(lanes, alone)}
+{lanes_text(lanes)}
 
 ![scaling of simulate_many](simulate_many.png)
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-import numpy as np
-
 from squeal_rig.instruments.acquisition import Acquisition
 from squeal_rig.instruments.chain import Chain
 from squeal_rig.instruments.data_sheets import data_sheet_names, load_data_sheets
 from squeal_rig.instruments.settings import BLOCKS_PER_SECOND, RigSettings
 from squeal_rig.instruments.virtual import VirtualRig
 from squeal_rig.model import RigParameters
+from squeal_rig.model.core.layout import sample_room
 from squeal_rig.model.motion.trajectory import Motion
 
 CASE = RigParameters().replace(damping_x=20.0, damping_y=20.0, preload=300.0)
@@ -48,7 +47,7 @@ def section() -> str:
         chain, samples = Chain(load_data_sheets(name), settings.sample_rate, 1), rig.next_block().daq
         measuring = processor_time(lambda chain=chain, samples=samples: chain.measure(samples.copy()))  # type: ignore[misc]
         rows.append(f"| {name} | {whole:.1%} | {measuring:.1%} | {whole / ideal:.1f} |")
-    motion, out = Motion(CASE, 51200), np.empty((64, 6))
+    motion, out = Motion(CASE, 51200), sample_room(64)
     others = [CASE.replace(preload=preload) for preload in (299.0, 301.0)]
     number = iter(range(10**9))
     change = processor_time(lambda: motion.set_parameters(others[next(number) % 2])) / BLOCKS_PER_SECOND

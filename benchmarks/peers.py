@@ -31,6 +31,7 @@ from squeal_rig.model.core.layout import (
     MASS,
     MU,
     Vector,
+    sample_room,
 )
 
 RTOLS = (1e-4, 1e-6, 1e-8, 1e-9, 1e-10, 1e-12)
@@ -46,7 +47,7 @@ def scaled_derivative(z: Vector) -> Vector:
 
 def exact(expected: Vector) -> Iterator[Point]:
     """Our exact engine as a node uses it: the propagators are made before, as the peers' code is compiled before."""
-    out, motion = np.empty((len(TIMES), 6)), Motion(CASE, RATE, START)
+    out, motion = sample_room(len(TIMES)), Motion(CASE, RATE, START)
 
     def run() -> Vector:
         motion.set_state(START)

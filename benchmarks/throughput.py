@@ -7,15 +7,16 @@ import math
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numba
 import numpy as np
 
-from benchmarks.case import CASE, RATE, START, best_time
+from benchmarks.case import CASE, RATE, START, best_time, speeds_in_turns
 from squeal_rig.model import Motion, RigParameters, simulate, simulate_many, stability_map
-from squeal_rig.model.core.layout import Vector, pack
+from squeal_rig.model.core.layout import Vector, pack, sample_room
 from squeal_rig.model.motion.cubic import TERMS
 from squeal_rig.model.motion.exact import empty_flow
 from squeal_rig.model.motion.propagator import OFF_BELT, propagators
@@ -25,15 +26,26 @@ SECONDS = 2.0
 
 def trajectory_speed() -> float:
     """Simulated seconds per wall second of one trajectory in squeal, samples with all six columns written."""
-    motion, block = Motion(CASE, RATE, START), np.empty((512, 6))
+    run, duration = engine_in_blocks()
+    run()
+    return duration / best_time(run, 9)
+
+
+def engine_in_blocks() -> tuple[Callable[[], None], float]:
+    """A run in blocks of 512 samples, and how long it simulates [s]."""
+    motion, block = Motion(CASE, RATE, START), sample_room(512)
     blocks = int(SECONDS * RATE / len(block))
 
     def run() -> None:
         for _ in range(blocks):
             motion.advance(block)
 
-    run()
-    return blocks * len(block) / RATE / best_time(run, 9)
+    return run, blocks * len(block) / RATE
+
+
+def one_call() -> None:
+    """`simulate` as a user calls it."""
+    simulate(CASE, 5.0, initial_state=START)
 
 
 @numba.njit(nogil=True, fastmath={"contract"})
@@ -52,7 +64,7 @@ def _propagate(state: Vector, drift: Vector, m: Vector, out: Vector) -> None:
 
 def propagation_speed() -> float:
     """The limit: z <- P z + d and six columns written, nothing else."""
-    flow, block = empty_flow(), np.empty((512, 6))
+    flow, block = empty_flow(), sample_room(512)
     quiet = CASE.replace(preload=20.0)
     propagators(pack(quiet), 1.0 / RATE, flow)
     linear = flow[:OFF_BELT].reshape(TERMS, -1)[:5, 4:8]  # of one step
@@ -69,7 +81,7 @@ def propagation_speed() -> float:
 
 def simulate_speed() -> tuple[float, float, float]:
     """`simulate(p, 5.0)` in a fresh process, by simulated s per wall s: its first call once the code is loaded, later
-    ones, and the engine in blocks; the process whose first call was best.
+    ones, and the engine in blocks, which take turns; the process whose first call was best.
     """
     code = "import json; from benchmarks.throughput import _simulate_speed; print(json.dumps(_simulate_speed()))"
     found: list[tuple[float, float, float]] = []
@@ -82,9 +94,10 @@ def simulate_speed() -> tuple[float, float, float]:
 def _simulate_speed() -> tuple[float, float, float]:
     simulate(CASE, 1e-3)  # loads the code
     begin = time.perf_counter()
-    simulate(CASE, 5.0, initial_state=START)
+    one_call()
     first = 5.0 / (time.perf_counter() - begin)
-    return first, 5.0 / best_time(lambda: simulate(CASE, 5.0, initial_state=START)), trajectory_speed()
+    later, blocks = speeds_in_turns([(one_call, 5.0), engine_in_blocks()], 1.0)
+    return first, max(later), max(blocks)
 
 
 def operating_arrays(n: int) -> dict[str, Vector]:
@@ -140,6 +153,20 @@ def _many_runs(points: int, duration: float, threads: int, repeats: int) -> tupl
         lines = status.read_text(encoding="utf-8").splitlines()
         memory = next(float(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024.0
     return seconds, memory, float(np.mean(rows["separations"] > 0))
+
+
+def thread_efficiency(points: int, threads: int) -> float:
+    """Share of `threads` times the speed of one thread that so many reach on runs of half a second, which take turns:
+    the best of each.
+    """
+    arrays = operating_arrays(points)
+
+    def run(workers: int) -> None:
+        simulate_many(CASE, 0.5, initial_compressions=3.0, threads=workers, **arrays)
+
+    run(threads)
+    one, all_of_them = speeds_in_turns([(lambda: run(1), 1.0), (lambda: run(threads), 1.0)])
+    return max(all_of_them) / max(one) / threads
 
 
 def map_times(points: int = 10_000_000) -> dict[str, float]:
