@@ -49,6 +49,7 @@ def warm_up() -> None:
     state_derivative(p, start)
     energy_balance(p, _MOMENT)
     contact_events(p, _MOMENT)
+    contact_events(slips, _MOMENT)
     simulate_many(p, _MOMENT, preload=[50.0, 300.0])
     for engine, rig_parameters in (("exact", p), ("exact", slips), ("rk4", p)):
         run = simulate(rig_parameters, _MOMENT, engine=engine)

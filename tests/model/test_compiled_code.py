@@ -115,7 +115,7 @@ def test_code_compiled_from_an_older_right_hand_side_is_not_used(tmp_path):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
     cache = str(tmp_path / "cache")
     # The exact engine has no right-hand side to change: it expands the equations itself.
-    code = SIMULATE.format(engine="rk4")
+    code = SIMULATE.format(engine="rk4", kernel="rk4.advance")
     *_, before, right_before = map(float, python(code, tmp_path, NUMBA_CACHE_DIR=cache))
     forces = tmp_path / "squeal_rig" / "model" / "core" / "forces.py"
     text = forces.read_text(encoding="utf-8")
